@@ -13,7 +13,6 @@ from dataclasses import asdict
 from functools import partial
 from itertools import product
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
@@ -33,6 +32,13 @@ PLANS = {  # number of cameras, image size, budget, fraction of pixels that must
     "eight-cameras": (8, 128, "1/255", "99.9%"),
     "wide-budget": (1, 256, "8/255", "95%"),
 }
+
+
+class _Forward(fr.Renderer):
+    """A renderer that shades all fragments, not only the visible ones."""
+
+    def _defers(self, *arguments: object) -> bool:
+        return False
 
 
 def main() -> None:
@@ -121,13 +127,13 @@ def plan_of(
     assert found.error.drawn is not None
     assert found.error.drawn_within is not None
     scene, values = found.detail.of(subject.scene), found.detail.values
+    forward = _Forward(renderer.size, samples=renderer.samples)
 
     def planned() -> object:
         return renderer.render(scene, found.shading, **values)
 
     def drawn() -> object:
-        with patch("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False):
-            return renderer.render(subject.scene, found.full)
+        return forward.render(subject.scene, found.full)
 
     text = found.budget.text
     chosen = ", ".join(word for each in found.decisions for word in _chosen(each))
@@ -155,14 +161,13 @@ def _chosen(decision: Decision) -> Iterator[str]:
 def deferred_against_drawn(scene: fr.Scene, samples: int, size: int = 1024) -> dict[str, float]:
     """Return the time of deferred shading relative to forward shading, and the fraction of covered
     pixels that differ by more than one level."""
-    with fr.Renderer((size, size), samples=samples) as renderer:
+    with _Forward(size, samples=samples) as forward, fr.Renderer(size, samples=samples) as renderer:
 
         def deferred() -> np.ndarray:
             return renderer.render(scene).linear
 
         def drawn() -> np.ndarray:
-            with patch("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False):
-                return renderer.render(scene).linear
+            return forward.render(scene).linear
 
         time = ratio(deferred, drawn, 9)
         one, other = deferred(), drawn()

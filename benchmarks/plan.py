@@ -29,12 +29,12 @@ from benchmarks.prices import amd
 from benchmarks.prices.table import cycles
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
-from facerender.drawing.shade import shade_pass
 from facerender.planning.budget import ROUNDING, Budget
 from facerender.planning.candidates import DECISIONS, candidates, changed
 from facerender.planning.plan import Plan, plan
 from facerender.pricing.table import load_prices
 from facerender.scene.view import view_of
+from tests.verification.forward import forward_passes
 from tests.verification.subjects import BUDGETS, KINDS, Subject, brute_force
 
 SIZE = (512, 512)
@@ -188,10 +188,10 @@ def compiled(found: Plan, family: str) -> float:
 
     def total(shading: fr.Shading) -> float:
         resolved = resolve(found.scene, shading)
-        draws = shade_pass(resolved, view_of(resolved.scene, 1.0), 1).draws
+        *_, last = forward_passes(resolved, view_of(resolved.scene, 1.0), (64, 64))
         return sum(
             len(draw.part.part.faces) * estimate(draw.program, family)
-            for draw in draws
+            for draw in last.draws
             if draw.part
         )
 

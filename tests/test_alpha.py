@@ -10,7 +10,8 @@ from PIL import Image
 
 import facerender as fr
 from facerender.drawing import reference
-from facerender.drawing.passes import can_defer
+from facerender.drawing.compiled import CompiledFrame
+from facerender.drawing.frame_passes import can_defer
 from facerender.drawing.prepare import resolve
 from facerender.drawing.refraction import regions_of
 from facerender.errors import InputError
@@ -463,7 +464,7 @@ def test_blended_parts_are_drawn_over_deferred_shading(
     bare = with_geometry(whole, parts=parts[:2], materials=whole.materials[:2])
     settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
     scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
-    assert can_defer(resolve(scene, fr.Shading()), 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance, None, 16384)
     images = []
     for deferred in (True, False):
         name = "facerender.drawing.renderer.deferred_is_cheaper"
@@ -625,7 +626,7 @@ def test_every_effect_agrees_with_float64(wide):
 @pytest.mark.slow
 def test_forward_deferred_and_per_pixel_shading_agree(backend, monkeypatch):
     scene = fr.Scene(eye(ks=1.0), camera(35.0), EYE_LIGHTS)
-    assert can_defer(resolve(scene, fr.Shading()), 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance, None, 16384)
     images = []
     for deferred in (False, True):
         name = "facerender.drawing.renderer.deferred_is_cheaper"
@@ -652,12 +653,13 @@ def test_terms_and_data_views_show_the_cornea_itself(wide):
 @pytest.mark.slow
 def test_maps_are_reused_until_the_scene_changes(wide, monkeypatch):
     drawn = []
-    draw = type(wide._resources)._draw
-    monkeypatch.setattr(
-        type(wide._resources),
-        "_draw",
-        lambda own, each, step, *rest: (drawn.append(step.name), draw(own, each, step, *rest)),
-    )
+    replay = CompiledFrame._replay
+
+    def count(self, step, *others):
+        drawn.extend([step.source.name] * len(step.source.draws))
+        replay(self, step, *others)
+
+    monkeypatch.setattr(CompiledFrame, "_replay", count)
     mesh = eye()
     scene = fr.Scene(mesh, camera(0.0), EYE_LIGHTS)
     dark = replace(mesh, materials=(*mesh.materials[:1], Material(), *mesh.materials[CLEAR:]))
@@ -703,7 +705,7 @@ def test_each_region_has_a_map(wide):
         for own, color in zip(apart, colors, strict=True)
     ]
     two = Mesh.of("eyes", parts, one.materials)
-    assert len(regions_of(two.setups[CLEAR])) == 2
+    assert len(regions_of(two.setups[CLEAR], two)) == 2
     light = {"lights": (), "ambient": 3.0}
     middle = np.s_[100:156, 100:156, :3]
     alone = wide.render(fr.Scene(one, fov(0.0), **light)).linear[middle]
@@ -712,7 +714,7 @@ def test_each_region_has_a_map(wide):
         assert np.abs(alone - beside).max() < 0.01
     shell = cap(-12.6, 12.6, 0.0, np.pi, 24, 64)
     closed = Mesh.of("shell", [*one.parts[:CLEAR], shell], one.materials)
-    (region,) = regions_of(closed.setups[CLEAR])
+    (region,) = regions_of(closed.setups[CLEAR], closed)
     np.testing.assert_allclose(region.matrix[:2, 2], 0.0, atol=1e-6)
     image = wide.render(fr.Scene(closed, fov(0.0), **light)).linear[middle]
     assert np.abs(image - alone).mean() < 0.1
@@ -731,7 +733,7 @@ def test_many_regions_share_one_map(wide):
     ]
     for count, maps in ((1, 1), (8, 8), (9, 1)):
         mesh = Mesh.of("lenses", [joined(row[:count])], eye().materials[CLEAR:])
-        regions = regions_of(mesh.setups[0])
+        regions = regions_of(mesh.setups[0], mesh)
         assert len(regions) == maps
         assert sum(len(each.faces) for each in regions) == len(mesh.parts[0].faces)
     agrees(wide, fr.Scene(mesh, fr.Camera(), EYE_LIGHTS))

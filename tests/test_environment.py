@@ -23,6 +23,7 @@ from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
 from facerender.scene.environment import SIDE, parse_environment, studio
 from facerender.scene.scattering import scattering_of
+from facerender.scene.view import view_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -368,7 +369,7 @@ def test_edge_of_light_agrees_with_the_profile(egl):
     mesh = with_geometry(wall((0.0, 0.0, 0.0, skin)), parts=(both,))
     scene = of_wall(mesh, lights=(light,), ambient=0.0)
     with fr.Renderer((512, 512), samples=1, backend=egl) as renderer:
-        found = scattering_of(scene, renderer.size)
+        found = scattering_of(scene, view_of(scene, 1.0), renderer.size)
         image = renderer.render(scene, fr.Shading(scatter_samples=64)).linear
         x = renderer.gbuffer(scene).position[256, :, 0]
     seen = np.abs(x) < 12.0
@@ -414,7 +415,7 @@ def test_other_parts_and_distant_surfaces_do_not_bleed(renderer):
 
 def test_unresolved_scattering_is_skipped(renderer, head):
     scene = fr.Scene(head.with_material(scattering="skin"), fr.Camera(zoom=0.05))
-    assert scattering_of(scene, renderer.size) is None
+    assert scattering_of(scene, view_of(scene, 1.0), renderer.size) is None
     np.testing.assert_array_equal(renderer.render(scene).linear, renderer.render(scene, OFF).linear)
 
 

@@ -22,6 +22,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
+from facerender.drawing.compiled import CompiledFrame
 from facerender.drawing.context import Backend, create_context
 from tests.awkward_files import MINI_HEAD, Head, write_glb, write_ply, write_stl, write_textured_obj
 from tests.verification.fuzz.seeds import octahedron
@@ -272,13 +273,14 @@ def test_renderer_may_be_dropped_while_another_draws(backend, monkeypatch):
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     with fr.Renderer((64, 64), backend=backend) as renderer:
         expected = renderer.render(scene).linear
-        draw = renderer._resources.draw
+        replay = CompiledFrame._replay
 
-        def draw_beside(*arguments: Any) -> Any:
-            drop(scene, backend)
-            return draw(*arguments)
+        def draw_beside(frame: CompiledFrame, *arguments: Any) -> Any:
+            if frame.resources.context is renderer.context:
+                drop(scene, backend)
+            return replay(frame, *arguments)
 
-        monkeypatch.setattr(renderer._resources, "draw", draw_beside)
+        monkeypatch.setattr(CompiledFrame, "_replay", draw_beside)
         with pytest.warns(ResourceWarning, match="dropped without release"):
             np.testing.assert_array_equal(renderer.render(scene).linear, expected)
 

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 import facerender as fr
-from facerender.drawing.passes import Draw, Pass, Target, Visibility
+from facerender.drawing.compiled import CompiledFrame
+from facerender.drawing.frame_passes import Structure, image_passes
+from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import resolve
-from facerender.drawing.program import Program, scene_uniforms
-from facerender.drawing.shade import shade_pass
+from facerender.drawing.program import Program
+from facerender.drawing.resources import read
 from facerender.scene.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
@@ -52,7 +54,7 @@ def renderer(egl, four_samples, monkeypatch, tmp_path):
     ],
 )
 def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *scene: deferred)
+    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
     scene = fr.Scene(head.with_material(m=0.3), lights=PLAIN_THREE, background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
@@ -62,16 +64,17 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
         Target(size=(32, 32), sampled=True),
         (Draw(Program("depth.frag"), {}, resolved.appearance.parts[0]),),
         clear=(1.0, 1.0, 1.0, 1.0),
-        uniforms=scene_uniforms(resolved, above, lights=False),
+        uniforms={"view_projection": above.matrix},
     )
-    visibility = Visibility.of(resolved, view, SIZE, samples) if deferred else None
-    whole = shade_pass(resolved, view, samples)
-    shaded = visibility.shaded(whole) if visibility else whole
+    black = (0.0, 0.0, 0.0)
+    of = Structure(resolved.appearance, scene.mesh, black, samples, lambda samples: deferred)
+    *before, shaded = image_passes(of, None)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
-    before = [visibility.drawn()] if visibility else []
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))
 
-    (joined,) = renderer._draw([depth, *before, shaded, join], scene)
+    frame = CompiledFrame(renderer._resources, [depth, *before, shaded, join], SIZE)
+    with renderer.context.drawing():
+        joined = read(frame.draw(view, scene.mesh))
     with fr.Renderer(SIZE, samples=samples, backend="egl") as plain:
         expected = plain.render(scene).linear
     np.testing.assert_array_equal(joined[..., :3], 2.0 * expected[..., :3])
@@ -87,18 +90,19 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
     assert (joined[::2, ::2, 3][~covered] == 1.0).all()
 
 
-def test_only_needed_passes_are_drawn(renderer, head, monkeypatch):
+def test_only_needed_passes_are_drawn(egl, head, monkeypatch):
     drawn = []
-    draw = renderer._resources.draw
+    replay = CompiledFrame._replay
     monkeypatch.setattr(
-        renderer._resources,
-        "draw",
-        lambda step, *rest: drawn.append(step.name) or draw(step, *rest),
+        CompiledFrame,
+        "_replay",
+        lambda own, step, *rest: drawn.append(step.source.name) or replay(own, step, *rest),
     )
     for deferred in (False, True):
         monkeypatch.setattr(
             "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
         )
-        renderer.render(fr.Scene(head, lights=PLAIN_THREE))
-        renderer.render(fr.Scene(head), only="normal")  # with shadows, which are not drawn
+        with fr.Renderer(SIZE, samples=4) as fresh:
+            fresh.render(fr.Scene(head, lights=PLAIN_THREE))
+            fresh.render(fr.Scene(head), only="normal")  # with shadows, which are not drawn
     assert drawn == ["shade", "surface", "visible", "shade", "visible", "surface"]

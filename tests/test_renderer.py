@@ -337,6 +337,7 @@ class Host:
         self.gl.__enter__()
         self.target = self.gl.framebuffer([self.gl.renderbuffer((64, 64), 4)])
         self.target.clear(*(value / 255 for value in (64, 128, 191, 255)))
+        self.uniforms = self.gl.buffer(bytes(16))
 
     def set_everything(self) -> None:
         self.target.use()
@@ -344,6 +345,7 @@ class Host:
             self.gl.texture((1, 1), 4, bytes(4)).use(unit)
             self.gl.texture((1, 1), 4, samples=4).use(unit)
             self.gl.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST)).use(unit)
+        self.uniforms.bind_to_uniform_block(0)
         for name, *values in self.SETTINGS:
             self.context.function(name, *[ctypes.c_int] * len(values))(*values)
         self.context.function("glDepthRange", *[ctypes.c_double] * 2)(1.0, 0.0)
@@ -353,7 +355,7 @@ class Host:
         activate = self.context.function("glActiveTexture", ctypes.c_int)
         queries = [query for _, _, several, _ in STATE for query in several]
         queries += [(number, 1) for number, _ in CAPABILITIES.values()]
-        queries += [(0x84E0, 1), (0x0C22, 4), (0x0B70, 2)]  # active texture, clear color, depth
+        queries += [(0x84E0, 1)]  # active texture
         state = {}
         for name, count in queries:
             values = (ctypes.c_double * count)()
@@ -366,6 +368,10 @@ class Host:
                 get(name, values)
                 state["unit", unit, name] = tuple(values)
         activate(int(state["", 0, 0x84E0][0]))
+        indexed = self.context.function("glGetIntegeri_v", *[ctypes.c_int] * 2, ctypes.c_void_p)
+        buffer = ctypes.c_int()
+        indexed(0x8A28, 0, ctypes.addressof(buffer))  # the uniform buffer of the first block
+        state["", 0, 0x8A28] = (buffer.value,)
         return state
 
     def release(self) -> None:
@@ -415,7 +421,7 @@ def test_guest_draws_the_same_and_restores_the_hosts_state(host, scene_of):
         guest.gbuffer(scene)
         assert host.state() == before
         at_center = fr.Light(position=tuple(scene.mesh.center))
-        with pytest.raises(fr.InputError, match="is at the mesh's centre"):
+        with pytest.raises(fr.InputError, match="the mesh's centre"):
             guest.render(replace(scene, lights=(at_center,)))
         assert host.state() == before
     assert host.state() == before
@@ -446,6 +452,25 @@ def test_missing_window_system_is_reported(monkeypatch):
     message = r"no OpenGL context \(native: DISPLAY is not set: start an X server, .*xvfb$"
     with pytest.raises(fr.ContextError, match=message):
         fr.Renderer(backend="native")
+
+
+@pytest.mark.parametrize("index", ["0", "99", "second"])
+def test_a_gpu_is_chosen_by_its_index(egl, monkeypatch, index):
+    """An index without a GPU is an error: another backend would draw on another device."""
+    scene = fr.Scene(fr.load_mesh(MINI_HEAD))
+    with fr.Renderer(32, backend=egl) as renderer:
+        expected = renderer.render(scene).linear
+    monkeypatch.setenv("GLCONTEXT_DEVICE_INDEX", index)
+    if index == "0":
+        with fr.Renderer(32) as renderer:
+            assert renderer.context.backend == "egl"
+            np.testing.assert_array_equal(renderer.render(scene).linear, expected)
+        return
+    message = (
+        rf"no OpenGL context \(egl: [^;]*{index}[^;]*\); GLCONTEXT_DEVICE_INDEX = {index}: give"
+    )
+    with pytest.raises(fr.ContextError, match=message):
+        fr.Renderer(32)
 
 
 @pytest.mark.parametrize(

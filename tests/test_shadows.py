@@ -11,8 +11,9 @@ import pytest
 import trimesh
 
 import facerender as fr
+from facerender.drawing.compiled import CompiledFrame
 from facerender.drawing.context import create_context
-from facerender.drawing.shade import MOST
+from facerender.drawing.shadows import MOST
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.scene.light import LIGHTS, parse_light
@@ -101,13 +102,13 @@ def test_folds_have_no_dots(egl, name, azimuth, radius, request):
 
 def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
     head, drawn = fr.load_mesh(MINI_HEAD), []
-    draw = type(renderer._resources)._draw
+    replay = CompiledFrame._replay
 
-    def count(self, one, *others):
-        drawn.append(one.program.fragment)
-        draw(self, one, *others)
+    def count(self, step, *others):
+        drawn.extend(draw.program.fragment for draw in step.source.draws)
+        replay(self, step, *others)
 
-    monkeypatch.setattr(type(renderer._resources), "_draw", count)
+    monkeypatch.setattr(CompiledFrame, "_replay", count)
 
     def maps(scene: fr.Scene, shading: fr.Shading = fr.Shading()) -> int:
         drawn.clear()

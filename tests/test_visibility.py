@@ -15,7 +15,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.drawing import passes
+from facerender.drawing import frame_passes
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
@@ -60,7 +60,7 @@ def renderer_of(egl):
     with ExitStack() as stack:
 
         @cache
-        def of(size, samples):
+        def of(size, samples, deferred=True):  # a renderer keeps its compiled frames
             made = fr.Renderer(size, samples=samples, backend=egl, float_albedo=True)
             return stack.enter_context(made)
 
@@ -77,7 +77,8 @@ def both(renderer_of, four_samples, monkeypatch) -> Both:
             monkeypatch.setattr(
                 "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
             )
-            images.append(renderer_of(size, samples).render(scene, only=only).linear)
+            renderer = renderer_of(size, samples, deferred)
+            images.append(renderer.render(scene, only=only).linear)
         return tuple(images)
 
     return draw
@@ -279,10 +280,11 @@ def test_per_pixel_shading_falls_back_to_per_sample(rates, head, samples, bright
 
 
 @pytest.mark.slow
-def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch):
+def test_per_pixel_shading_does_not_depend_on_deferring(rates, renderer_of, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
     monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False)
+    renderer_of((256, 192), 4)._resources.frames.clear()  # a compiled frame keeps its choice
     np.testing.assert_array_equal(rates(scene)[0], one)
 
 
@@ -290,17 +292,18 @@ def test_per_pixel_shading_does_not_depend_on_deferring(rates, head, monkeypatch
 def test_choice_of_deferred_shading(head):
     scene = fr.Scene(head)
     llvmpipe = "llvmpipe (LLVM 15.0.6, 256 bits)"
-    assert passes.deferred_is_cheaper(scene, (1024, 1024), 1, llvmpipe)
-    assert not passes.deferred_is_cheaper(scene, (1024, 1024), 4, "softpipe")
+    assert frame_passes.deferred_is_cheaper(scene.mesh.parts, (1024, 1024), 1, llvmpipe)
+    assert not frame_passes.deferred_is_cheaper(scene.mesh.parts, (1024, 1024), 4, "softpipe")
     low = fr.Scene(mesh_of(cube()))
-    assert not passes.deferred_is_cheaper(low, (1024, 1024), 1, llvmpipe)
-    assert passes.deferred_is_cheaper(low, (1024, 1024), 4, llvmpipe)
+    assert not frame_passes.deferred_is_cheaper(low.mesh.parts, (1024, 1024), 1, llvmpipe)
+    assert frame_passes.deferred_is_cheaper(low.mesh.parts, (1024, 1024), 4, llvmpipe)
 
 
 def test_meshes_too_large_for_deferring_are_drawn_forward(head):
-    assert passes.can_defer(resolve(fr.Scene(head), fr.Shading()), 16384)
+    look = resolve(fr.Scene(head), fr.Shading()).appearance
+    assert frame_passes.can_defer(look, None, 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
-    assert not passes.can_defer(resolve(fr.Scene(head), fr.Shading()), too_few)
+    assert not frame_passes.can_defer(look, None, too_few)
 
 
 # --- sides and order of triangles -----------------------------------------------------------------

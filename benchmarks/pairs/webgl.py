@@ -4,6 +4,7 @@ as the renderer's, on another driver."""
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -15,10 +16,10 @@ import facerender as fr
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.prepare import reduced, resolve
 from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
-from facerender.drawing.shade import shade_pass, with_shadows
 from facerender.scene.scene import Scene
 from facerender.scene.view import view_of
 from facerender.texture.mips import Kind
+from tests.verification.forward import forward_passes
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -51,7 +52,9 @@ def draw_webgl(
     if not float_albedo:
         resolved = resolve(reduced(resolved, view, size, 1.0), shading, albedo)
     scene = resolved.scene
-    steps = with_shadows(resolved, view, size, [shade_pass(resolved, view, 1)])
+    steps = forward_passes(resolved, view, size)
+    camera = {"view_projection": view.matrix, "camera_position": view.position}
+    camera["forward"] = view.forward
     blob = _Blob()
     passes = [
         {
@@ -59,7 +62,7 @@ def draw_webgl(
             "size": step.target.size or size,
             "number": step.target.values == "number",
             "clear": step.clear,
-            "draws": [_described(blob, draw, step, scene, size) for draw in step.draws],
+            "draws": [_described(blob, draw, step, scene, size, camera) for draw in step.draws],
         }
         for step in steps
     ]
@@ -97,7 +100,12 @@ def _map(
 
 
 def _described(
-    blob: _Blob, draw: Draw, step: Pass, scene: Scene, size: tuple[int, int]
+    blob: _Blob,
+    draw: Draw,
+    step: Pass,
+    scene: Scene,
+    size: tuple[int, int],
+    camera: Mapping[str, NDArray[np.float64]],
 ) -> dict[str, Any]:
     """Return a draw as JSON data for webgl.js."""
     maps: dict[str, Any] = {}
@@ -110,7 +118,10 @@ def _described(
         part = draw.part.part
         positions, normals = np.hsplit(scene.mesh.setups[draw.part.index].vertices, 2)
         columns = {"in_position": positions, "in_normal": normals, **fixed_attributes(part)}
-        faces = part.faces if draw.order is None else part.faces[draw.order]
+        faces = part.faces
+        if draw.order is not None:  # back to front
+            depth = (positions @ camera["forward"])[faces].sum(axis=1)
+            faces = faces[np.argsort(-depth, kind="stable")]
         maps |= {
             name: _map(
                 *(blob, texture.levels(kind).result(), kind),
@@ -119,7 +130,7 @@ def _described(
             )
             for name, texture, kind in draw.part.maps
         }
-    uniforms = {**step.uniforms, **draw.uniforms}
+    uniforms: dict[str, Any] = {**camera, **step.uniforms, **draw.uniforms}
     sources = draw.program.sources("300 es")
     first, rest = sources["frag"].split("\n", 1)
     return {

@@ -13,8 +13,8 @@ from itertools import product
 from typing import Any
 
 from benchmarks.prices import amd
+from facerender.drawing.frame_passes import scatter_pass
 from facerender.drawing.program import Program
-from facerender.drawing.shade import scatter_pass
 from facerender.pricing import cost, table
 from facerender.pricing.cost import SLOPE
 from facerender.pricing.table import (
@@ -29,7 +29,6 @@ from facerender.pricing.table import (
 )
 from facerender.scene.scattering import Scattering
 from facerender.scene.shading import Shading, Term
-from facerender.scene.view import view_of
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower
 from facerender.terms.lobe import G_POWERS
 from facerender.terms.transport import PROFILES
@@ -92,9 +91,9 @@ def parts(family: str, shading: Shading | None = None) -> dict[str, float]:
 
 def scattering_parts(family: str) -> dict[str, float]:
     """Return the cost of ``scatter.PARTS``; unit and exceptions as :func:`cycles`."""
-    wall = cost.scene()
     profile = Scattering((PROFILES["skin"][2:],), (1,), 1.0, 1.0)
-    passes = [scatter_pass(view_of(wall, 1.0), profile, count) for count in _SCATTER_SAMPLES]
+    black = (0.0, 0.0, 0.0)
+    passes = [scatter_pass(profile, n, black, False, False) for n in _SCATTER_SAMPLES]
     costs = cycles([each.draws[-1].program for each in passes], family)
     return cost.parts(_SCATTER_SAMPLES, [float(each) for each in costs])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import platform
 from importlib.metadata import PackageNotFoundError, version
@@ -11,7 +10,7 @@ from typing import Any
 
 from facerender import __version__
 from facerender.commands.output import Help, print_result
-from facerender.drawing.context import AUTO, Finding, probe
+from facerender.drawing.context import AUTO, probe
 from facerender.system import cache
 
 # Python packages, keyed by the extra that needs them; "" is facerender without extras.
@@ -41,12 +40,12 @@ def add(doctor: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     findings = probe()
-    usable = [finding.backend for finding in findings if not finding.error]
+    usable = [finding["backend"] for finding in findings if not finding["error"]]
     facts: dict[str, Any] = {
         "facerender": __version__,
         "python": platform.python_version(),
         "system": _system(),
-        "backends": [dataclasses.asdict(finding) for finding in findings],
+        "backends": findings,
         "auto": next((name for name in AUTO if name in usable), None),
         "packages": {
             extra: {name: _version_of(name) for name in names} for extra, names in PACKAGES.items()
@@ -55,18 +54,15 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         print_result(json.dumps(facts, indent=2))
     else:
-        print_result(*_lines(facts, findings))
+        print_result(*_lines(facts))
     return 0 if usable else 2
 
 
-def _lines(facts: dict[str, Any], findings: list[Finding]) -> list[str]:
+def _lines(facts: dict[str, Any]) -> list[str]:
     lines = [f"facerender {facts['facerender']}, Python {facts['python']}, {facts['system']}"]
-    for finding in findings:
-        driver = (
-            f"{finding.renderer}, OpenGL {finding.version}, up to {finding.samples} samples and "
-            f"{finding.size} pixels per side"
-        )
-        lines.append(f"{finding.backend:7} {finding.error or driver}")
+    driver = "{renderer}, OpenGL {version}, up to {samples} samples and {size} pixels per side"
+    for finding in facts["backends"]:
+        lines.append(f"{finding['backend']:7} {finding['error'] or driver.format(**finding)}")
     lines.append(f"auto    {facts['auto'] or 'no backend works'}")
     for extra, versions in facts["packages"].items():
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]

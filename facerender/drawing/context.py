@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import glcontext
@@ -21,27 +21,53 @@ from facerender.errors import ContextError, check_known
 from facerender.system import IMPORTER
 
 
-@dataclass(frozen=True)
-class HostContext:
-    """The OpenGL context that is current in this thread.
+class ForeignContext:
+    """An OpenGL context of a host program, current in this thread, which only the host frees.
 
     handle : address of the context, which identifies it
-    get_proc_address : C function that returns the address of an OpenGL function
     rebind : function that makes the context current again, even if the window system regards it as
         current
     """
 
-    handle: int
-    get_proc_address: Any
-    rebind: Callable[[], None]
+    def __init__(
+        self, get_proc_address: Any, handle: int = 0, rebind: Callable[[], object] = lambda: None
+    ) -> None:
+        get_proc_address.restype = ctypes.c_void_p
+        get_proc_address.argtypes = [ctypes.c_char_p]
+        self._get_proc_address, self.handle, self.rebind = get_proc_address, handle, rebind
+
+    def load(self, name: str) -> int:
+        return self._get_proc_address(name.encode()) or 0
+
+    load_opengl_function = load
+
+    def release(self) -> None:
+        pass
+
+    def __enter__(self) -> ForeignContext:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
 
 
-def current_context() -> HostContext | None:
+# Libraries that may have a current context, by the prefix of their functions.
+_LIBRARIES = {
+    "egl": ("libEGL.so.1",),
+    "glX": ("libGLX.so.0", "libGL.so.1"),
+    "OSMesa": ("libOSMesa.so.8",),
+}
+
+
+def current_context() -> ForeignContext | None:
     """Return the EGL, GLX or OSMesa context that is current in this thread, or None. One that was
     current before a fork is ignored: its driver's threads do not exist in the child process."""
-    for find in (_egl_context, _glx_context, _osmesa_context):
-        if (context := find()) is not None and context.handle not in _inherited:
-            return context
+    for prefix, names in _LIBRARIES.items():
+        library = _loaded(*names)
+        handle = library and _pointer(getattr(library, prefix + "GetCurrentContext"))
+        if handle and handle not in _inherited:
+            load = getattr(library, prefix + "GetProcAddress")
+            return ForeignContext(load, handle, _rebinder(prefix, library, handle))
     return None
 
 
@@ -54,10 +80,11 @@ def _loaded(*names: str) -> ctypes.CDLL | None:
     library that is not loaded has no current context."""
     for name in names if sys.platform != "win32" else ():
         if name not in _libraries:
-            try:
-                _libraries[name] = ctypes.CDLL(name, mode=os.RTLD_NOLOAD | os.RTLD_NOW)
+            try:  # CDLL would take twice as long for a library that is absent: each frame asks
+                handle = ctypes._dlopen(name, os.RTLD_NOLOAD | os.RTLD_NOW)  # type: ignore[attr-defined]
             except OSError:
                 continue
+            _libraries[name] = ctypes.CDLL(name, handle=handle)
         return _libraries[name]
     return None
 
@@ -68,20 +95,29 @@ def _pointer(function: Any, *arguments: Any) -> int | None:
     return address
 
 
-def _egl_context() -> HostContext | None:
-    library = _loaded("libEGL.so.1")
-    if library is None or not (context := _pointer(library.eglGetCurrentContext)):
-        return None
-    display = _pointer(library.eglGetCurrentDisplay)
-    draw, read = (_pointer(library.eglGetCurrentSurface, name) for name in (0x3059, 0x305A))
-    make_current = library.eglMakeCurrent
+def _rebinder(prefix: str, library: Any, context: int) -> Callable[[], object]:
+    """Return the function that makes the current context of a library current again."""
+    if prefix == "OSMesa":
+        width, height, layout = (ctypes.c_int() for _ in range(3))
+        buffer = ctypes.c_void_p()
+        outputs = [ctypes.byref(output) for output in (width, height, layout, buffer)]
+        library.OSMesaGetColorBuffer(ctypes.c_void_p(context), *outputs)
+        return lambda: _bind_osmesa(library, context, buffer, width.value, height.value)
+    display = _pointer(getattr(library, prefix + "GetCurrentDisplay"))
+    if prefix == "egl":
+        make_current, getter = library.eglMakeCurrent, library.eglGetCurrentSurface
+        surfaces = [_pointer(getter, name) for name in (0x3059, 0x305A)]
+    else:
+        make_current = library.glXMakeContextCurrent
+        names = "glXGetCurrentDrawable", "glXGetCurrentReadDrawable"
+        surfaces = [_pointer(getattr(library, name)) for name in names]
     make_current.argtypes = [ctypes.c_void_p] * 4
 
     def rebind() -> None:
         make_current(display, None, None, None)
-        make_current(display, draw, read, context)
+        make_current(display, *surfaces, context)
 
-    return HostContext(context, library.eglGetProcAddress, rebind)
+    return rebind
 
 
 def egl_in_use() -> bool:
@@ -89,41 +125,25 @@ def egl_in_use() -> bool:
     library = _loaded("libEGL.so.1")
     if library is None:
         return False
-    library.eglGetProcAddress.restype = ctypes.c_void_p
     names = b"eglQueryDevicesEXT", b"eglGetPlatformDisplayEXT"
-    functions = [library.eglGetProcAddress(name) for name in names]
+    functions: list[Any] = [_pointer(library.eglGetProcAddress, name) for name in names]
     if not all(functions):
         return False
-    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
-    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
+    pointers = ctypes.c_void_p, ctypes.c_void_p
+    query = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, *pointers)(functions[0])
+    get = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, *pointers)(functions[1])
     devices, count = (ctypes.c_void_p * 16)(), ctypes.c_int()
-    query(functions[0])(len(devices), devices, ctypes.byref(count))
+    query(len(devices), devices, ctypes.byref(count))
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
     # 0x3054 is EGL_VERSION: only an initialised display has a version.
     return any(
-        _pointer(library.eglQueryString, get(functions[1])(0x313F, device, None), 0x3054)
+        _pointer(library.eglQueryString, get(0x313F, device, None), 0x3054)
         for device in devices[: count.value]
     )
 
 
-def _glx_context() -> HostContext | None:
-    library = _loaded("libGLX.so.0", "libGL.so.1")
-    if library is None or not (context := _pointer(library.glXGetCurrentContext)):
-        return None
-    getters = (library.glXGetCurrentDisplay, library.glXGetCurrentDrawable)
-    display, draw, read = map(_pointer, (*getters, library.glXGetCurrentReadDrawable))
-    make_current = library.glXMakeContextCurrent
-    make_current.argtypes = [ctypes.c_void_p, ctypes.c_ulong, ctypes.c_ulong, ctypes.c_void_p]
-
-    def rebind() -> None:
-        make_current(display, 0, 0, None)
-        make_current(display, draw or 0, read or 0, context)
-
-    return HostContext(context, library.glXGetProcAddressARB, rebind)
-
-
-def bind_osmesa(
-    library: ctypes.CDLL, context: int | None, buffer: Any, width: int, height: int
+def _bind_osmesa(
+    library: Any, context: int | None, buffer: Any, width: int = 1, height: int = 1
 ) -> bool:
     """Make an OSMesa context current with a buffer of RGBA bytes. If `context` is None, unbind the
     current context. Return whether OSMesa succeeded."""
@@ -131,21 +151,6 @@ def bind_osmesa(
     make_current.argtypes = [ctypes.c_void_p, ctypes.c_void_p] + [ctypes.c_int] * 3
     unsigned_byte = 0x1401
     return bool(make_current(context, buffer, unsigned_byte, width, height))
-
-
-def _osmesa_context() -> HostContext | None:
-    library = _loaded("libOSMesa.so.8", "libOSMesa.so.6")
-    if library is None or not (context := _pointer(library.OSMesaGetCurrentContext)):
-        return None
-    width, height, layout = (ctypes.c_int() for _ in range(3))
-    buffer = ctypes.c_void_p()
-    outputs = [ctypes.byref(output) for output in (width, height, layout, buffer)]
-    library.OSMesaGetColorBuffer(ctypes.c_void_p(context), *outputs)
-
-    def rebind() -> None:
-        bind_osmesa(library, context, buffer, width.value, height.value)
-
-    return HostContext(context, library.OSMesaGetProcAddress, rebind)
 
 
 # OpenGL capabilities, keyed by name: (OpenGL constant, whether drawing needs it enabled).
@@ -168,7 +173,7 @@ CAPABILITIES = {
     "SAMPLE_SHADING": (0x8C36, False),
 }
 
-# Integer state: (setter, its leading arguments, queries for its other arguments, values that
+# State: (setter, its leading arguments, queries for its other arguments, values that
 # drawing needs for the other arguments). A query is (OpenGL constant, number of values). None: the
 # drawing code sets the values. Setters that the driver lacks are skipped.
 STATE: tuple[tuple[str, tuple[int, ...], tuple[tuple[int, int], ...], tuple[int, ...] | None], ...]
@@ -194,14 +199,12 @@ STATE = (
     ("glClipControl", (), ((0x935C, 1), (0x935D, 1)), (0x8CA1, 0x935E)),  # lower left, -1 to 1
     *(("glPixelStorei", (name,), ((name, 1),), (0,)) for name in range(0x0D00, 0x0D05)),  # pack
     *(("glPixelStorei", (name,), ((name, 1),), (0,)) for name in range(0x0CF0, 0x0CF5)),  # unpack
-    ("glPixelStorei", (0x0D05,), ((0x0D05, 1),), None),  # pack alignment
-    ("glPixelStorei", (0x0CF5,), ((0x0CF5, 1),), None),  # unpack alignment
+    *(("glPixelStorei", (name,), ((name, 1),), None) for name in (0x0D05, 0x0CF5)),  # alignments
+    ("glClearColor", (), ((0x0C22, 4),), None),
+    ("glDepthRange", (), ((0x0B70, 2),), (0, 1)),
 )
-# Floating-point state: (setter, argument type, query, number of values, values that drawing needs).
-_FLOATS: tuple[tuple[str, Any, int, int, tuple[float, ...] | None], ...] = (
-    ("glClearColor", ctypes.c_float, 0x0C22, 4, None),
-    ("glDepthRange", ctypes.c_double, 0x0B70, 2, (0.0, 1.0)),
-)
+# Argument types of setters; others take integers.
+_FLOATS = {"glClearColor": ctypes.c_float, "glDepthRange": ctypes.c_double}
 _SWITCH = ("glDisable", "glEnable")
 _TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
 # (texture target, query of the bound texture) for 2D textures and 2D multisample textures.
@@ -212,9 +215,10 @@ _SAMPLER_BINDING = 0x8919
 _UNITS = 16
 
 
-def save_state(load: Callable[[str], int]) -> Callable[[], None]:
-    """Save the state of the current context, and set it to the values that drawing needs. Return
-    the function that restores the previous state.
+@contextmanager
+def saved_state(load: Callable[[str], int]) -> Iterator[None]:
+    """Save the state of the current context, set it to the values that drawing needs, and restore
+    it afterwards.
 
     load : function that returns the address of an OpenGL function, 0 if the driver lacks it
     """
@@ -222,47 +226,48 @@ def save_state(load: Callable[[str], int]) -> Callable[[], None]:
     def function(name: str, *arguments: Any, result: Any = None) -> Any:
         return ctypes.CFUNCTYPE(result, *arguments)(load(name))
 
-    def state_of(name: int, count: int = 1, kind: Any = ctypes.c_int) -> tuple[Any, ...]:
-        values = (kind * count)()
-        getter = "glGetIntegerv" if kind is ctypes.c_int else "glGetDoublev"
-        function(getter, ctypes.c_int, ctypes.c_void_p)(name, values)
-        return tuple(values)
-
-    def call(name: str, *values: int | float, kind: Any = ctypes.c_int) -> None:
-        function(name, *[kind] * len(values))(*values)
-
+    get = function("glGetDoublev", ctypes.c_int, ctypes.c_void_p)
     is_enabled = function("glIsEnabled", ctypes.c_int, result=ctypes.c_ubyte)
-    back: list[tuple[Any, str, tuple[float, ...]]] = []
+    values = (ctypes.c_double * 4)()
 
-    def change(name: str, old: Any, new: Any, kind: Any = ctypes.c_int) -> None:
-        back.append((kind, name, old))
+    def state_of(name: int, count: int = 1) -> list[float]:
+        get(name, values)
+        return values[:count]
+
+    def call(name: str, *arguments: float) -> None:
+        kind = _FLOATS.get(name)
+        numbers = arguments if kind else map(int, arguments)
+        function(name, *[kind or ctypes.c_int] * len(arguments))(*numbers)
+
+    back: list[tuple[str, tuple[float, ...]]] = []
+
+    def change(name: str, old: tuple[float, ...], new: tuple[float, ...] | None) -> None:
+        back.append((name, old))
         if new is not None:
-            call(name, *new, kind=kind)
+            call(name, *new)
 
     for name, (capability, needed) in CAPABILITIES.items():
         if name != "SAMPLE_SHADING" or load("glMinSampleShading"):
-            back.append((ctypes.c_int, _SWITCH[bool(is_enabled(capability))], (capability,)))
+            back.append((_SWITCH[bool(is_enabled(capability))], (capability,)))
             call(_SWITCH[needed], capability)
-    for name, leading, queries, needed_integers in STATE:
+    for name, leading, queries, needed_values in STATE:
         if load(name):
-            state = tuple(value for query in queries for value in state_of(*query))
-            change(name, leading + state, needed_integers and leading + needed_integers)
-    for name, kind, query, count, needed_floats in _FLOATS:
-        change(name, state_of(query, count, ctypes.c_double), needed_floats, kind)
+            state = (value for query in queries for value in state_of(*query))
+            change(name, (*leading, *state), needed_values and leading + needed_values)
     active = state_of(_ACTIVE_TEXTURE)
     # moderngl binds each new texture to the last unit.
-    for unit in (*range(_UNITS), state_of(_MOST_UNITS)[0] - 1):
+    for unit in (*range(_UNITS), int(*state_of(_MOST_UNITS)) - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:
-            change("glBindTexture", (target, *state_of(binding)), None)
+            back.append(("glBindTexture", (target, *state_of(binding))))
         change("glBindSampler", (unit, *state_of(_SAMPLER_BINDING)), (unit, 0))
-    change("glActiveTexture", active, None)
+    back.append(("glActiveTexture", (*active,)))
 
-    def restore() -> None:
-        for kind, name, values in back:
-            call(name, *values, kind=kind)
-
-    return restore
+    try:
+        yield
+    finally:
+        for name, arguments in back:
+            call(name, *arguments)
 
 
 Backend = Literal["auto", "egl", "osmesa", "native", "current"]
@@ -284,6 +289,7 @@ REMEDIES = {
 }
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
 _GL_VERSION = 330
+_DEVICE = "GLCONTEXT_DEVICE_INDEX"  # variable by which glcontext chooses among EGL devices
 
 # Names of the drivers that this process or its ancestors have opened. A fork does not copy a
 # driver's threads, so _lost has the drivers opened before the last fork.
@@ -309,70 +315,39 @@ if os.getpid() != IMPORTER:
     _lose()
 
 
-class ForeignContext:
-    """Access to the OpenGL functions of the host's current context, which only the host frees."""
-
-    def __init__(self, get_proc_address: Any) -> None:
-        get_proc_address.restype = ctypes.c_void_p
-        get_proc_address.argtypes = [ctypes.c_char_p]
-        self._get_proc_address = get_proc_address
-
-    def load(self, name: str) -> int:
-        return self._get_proc_address(name.encode()) or 0
-
-    load_opengl_function = load
-
-    def release(self) -> None:
-        pass
-
-    def __enter__(self) -> ForeignContext:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        pass
-
-
 class _OSMesaContext(ForeignContext):
     """An off-screen Mesa context. Its default framebuffer is one pixel in memory; images are drawn
     into framebuffer objects."""
 
-    _ATTRIBUTES = (
-        *(0x22, 0x1908),  # OSMESA_FORMAT: RGBA
-        *(0x30, 24),  # OSMESA_DEPTH_BITS
-        *(0x33, 0x34),  # OSMESA_PROFILE: core
-        *(0x36, _GL_VERSION // 100),  # OSMESA_CONTEXT_MAJOR_VERSION
-        *(0x37, _GL_VERSION % 100 // 10),  # OSMESA_CONTEXT_MINOR_VERSION
-        *(0, 0),
-    )
-
     def __init__(self) -> None:
-        self._library = _open_library("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+        self._library: Any = _open_library("libOSMesa.so.8", "libOSMesa.so")
         super().__init__(self._library.OSMesaGetProcAddress)
-        create = self._library.OSMesaCreateContextAttribs
-        create.restype = ctypes.c_void_p
-        create.argtypes = [ctypes.POINTER(ctypes.c_int), ctypes.c_void_p]
-        self._context = create((ctypes.c_int * len(self._ATTRIBUTES))(*self._ATTRIBUTES), None)
+        attributes = (
+            *(0x22, 0x1908),  # OSMESA_FORMAT: RGBA
+            *(0x30, 24),  # OSMESA_DEPTH_BITS
+            *(0x33, 0x34),  # OSMESA_PROFILE: core
+            *(0x36, _GL_VERSION // 100),  # OSMESA_CONTEXT_MAJOR_VERSION
+            *(0x37, _GL_VERSION % 100 // 10),  # OSMESA_CONTEXT_MINOR_VERSION
+            *(0, 0),
+        )
+        array = (ctypes.c_int * len(attributes))(*attributes)
+        self._context = _pointer(self._library.OSMesaCreateContextAttribs, array, None)
         if not self._context:
             raise ContextError("libOSMesa refused an OpenGL 3.3 core context")
         self._pixel = (ctypes.c_ubyte * 4)()
-        self._make_current(self._context)
-
-    def _make_current(self, context: int | None) -> None:
-        if not bind_osmesa(self._library, context, self._pixel if context else None, 1, 1):
-            raise ContextError("libOSMesa could not make its context current")
+        self.__enter__()
 
     def __enter__(self) -> _OSMesaContext:
-        self._make_current(self._context)
+        if not _bind_osmesa(self._library, self._context, self._pixel):
+            raise ContextError("libOSMesa could not make its context current")
         return self
 
     def __exit__(self, *exception: object) -> None:
-        self._make_current(None)
+        _bind_osmesa(self._library, None, None)
 
     def release(self) -> None:
-        if self._context:
-            self._library.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
-            self._library.OSMesaDestroyContext(self._context)
-            self._context = None
+        self._library.OSMesaDestroyContext.argtypes = [ctypes.c_void_p]
+        self._library.OSMesaDestroyContext(self._context)
 
 
 def check_process(process: int) -> None:
@@ -404,19 +379,12 @@ def _standalone(backend: str, **libraries: str) -> Any:
     return make(mode="standalone", glversion=_GL_VERSION, **libraries)
 
 
-def is_software(renderer: str) -> bool:
-    """Return whether a value of GL_RENDERER names a software driver."""
-    return any(name in renderer.lower() for name in SOFTWARE)
-
-
 @dataclass(frozen=True)
 class Context:
     """An OpenGL context with its properties.
 
-    backend : "egl", "osmesa", "native" or "current"
     gl : the moderngl context; it is current only within :meth:`drawing`
-    loader : object that returns the addresses of OpenGL functions
-    handle : address of a host's context, otherwise 0
+    loader : object that returns the addresses of OpenGL functions; a ForeignContext for "current"
     renderer, version : GL_RENDERER and GL_VERSION, which every result and golden must record
     process : ID of the process that created the context; no other process can use the context
     """
@@ -424,13 +392,12 @@ class Context:
     backend: str
     gl: moderngl.Context
     loader: Any
-    handle: int
     renderer: str
     version: str
     process: int = field(default_factory=os.getpid)
     _lock: threading.RLock = field(default_factory=threading.RLock, repr=False, compare=False)
 
-    @property
+    @cached_property
     def most_samples(self) -> int:
         """Largest number of samples per pixel that the driver supports."""
         return max(int(self.gl.info["GL_MAX_SAMPLES"]), 1)
@@ -444,7 +411,7 @@ class Context:
     @property
     def software(self) -> bool:
         """Whether the driver is a software driver, which draws on the CPU."""
-        return is_software(self.renderer)
+        return any(name in self.renderer.lower() for name in SOFTWARE)
 
     def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
         """Return an OpenGL function that moderngl does not wrap."""
@@ -460,45 +427,39 @@ class Context:
         """
         check_process(self.process)
         with self._lock:
-            if self.released:
+            if isinstance(self.gl.mglo, moderngl.InvalidObject):
                 raise ContextError("this renderer was released: create a new one")
             host, guest = current_context(), self.backend == "current"
-            if guest and (host is None or host.handle != self.handle):
+            if guest and (host is None or host.handle != self.loader.handle):
                 raise ContextError(
                     "the context in which this renderer was created is not current in this "
                     "thread: make it current first"
                 )
-            restore = save_state(self.loader.load) if guest else host and host.rebind
             try:
-                with nullcontext() if guest else self.gl:
+                with saved_state(self.loader.load) if guest else self.gl:
                     yield self.gl
             finally:
-                if restore:
-                    restore()
+                if host and not guest:
+                    host.rebind()
 
     @property
-    def inherited(self) -> bool:
-        """Whether another process created the context, before a fork. Only that process may free
-        the context."""
-        return self.process != os.getpid()
-
-    @property
-    def released(self) -> bool:
-        """Whether :meth:`release` was called."""
-        return isinstance(self.gl.mglo, moderngl.InvalidObject)
+    def closed(self) -> bool:
+        """Whether the context was released, or another process created it, before a fork. Only that
+        process may free the context."""
+        return self.process != os.getpid() or isinstance(self.gl.mglo, moderngl.InvalidObject)
 
     def release(self) -> None:
         """Free the context, unless it is the host's or inherited. Further calls have no effect."""
-        if not self.inherited:
+        if not self.closed:
             self.gl.release()
 
 
 # With these names, glcontext does not start ldconfig or a compiler to find the libraries.
-_LIBRARIES = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
+_X11 = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
 _OPENERS: dict[str, Callable[[], Any]] = {
     "egl": partial(_standalone, "egl", libegl="libEGL.so.1", libgl="libGL.so.1"),
     "osmesa": _OSMesaContext,
-    "native": partial(_standalone, "native", **_LIBRARIES),
+    "native": partial(_standalone, "native", **_X11),
 }
 
 
@@ -508,7 +469,8 @@ def create_context(backend: Backend = "auto") -> Context:
     Parameters
     ----------
     backend : "egl", "osmesa", "native" (WGL, CGL or GLX), "current" (the host's context), or "auto"
-        (default) for the first backend of AUTO that works
+        (default) for the first backend of AUTO that works. If the environment variable
+        GLCONTEXT_DEVICE_INDEX chooses one of several GPUs, "auto" uses EGL
 
     Raises
     ------
@@ -524,35 +486,32 @@ def create_context(backend: Backend = "auto") -> Context:
             return _open(name, host)
         except Exception as error:  # glcontext raises bare Exception
             errors.append(f"{name}: {error}")
+            if name == "egl" and _DEVICE in os.environ:
+                break  # the other backends ignore the choice
         finally:
             if host is not None and name != "current":
                 host.rebind()
     raise ContextError(f"no OpenGL context ({'; '.join(errors)}); {_remedy(tried)}")
 
 
-def _open(name: str, host: HostContext | None) -> Context:
+def _open(name: str, host: ForeignContext | None) -> Context:
     if name in _lost:
         raise ContextError("this driver was in use before this process was forked")
-    guest = host if name == "current" else None
-    if name == "current" and guest is None:
+    guest = name == "current"
+    if guest and host is None:
         raise ContextError("no EGL, GLX or OSMesa context is current in this thread")
-    loader: Any = ForeignContext(guest.get_proc_address) if guest else _OPENERS[name]()
-    restore = save_state(loader.load) if guest else None
-    try:
+    loader: Any = host if guest else _OPENERS[name]()
+    with saved_state(loader.load) if guest else nullcontext():
         gl = moderngl.create_context(require=_GL_VERSION, standalone=not guest, context=loader)
         # If Python freed a GPU object while another context was current, OpenGL would delete that
         # context's object with the same number. context_gc delays deletions until gl.gc().
         gl.gc_mode = "context_gc"
         info = gl.info
-    finally:
-        if restore:
-            restore()
     if not guest:
         with gl:
             pass  # leaving the block unbinds the new context
         _opened.add(name)
-    handle = guest.handle if guest else 0
-    return Context(name, gl, loader, handle, info["GL_RENDERER"], info["GL_VERSION"])
+    return Context(name, gl, loader, info["GL_RENDERER"], info["GL_VERSION"])
 
 
 def _remedy(tried: tuple[str, ...]) -> str:
@@ -561,32 +520,26 @@ def _remedy(tried: tuple[str, ...]) -> str:
             'start the process by multiprocessing.get_context("spawn"), or a PyTorch loader with '
             'multiprocessing_context="spawn"'
         )
+    chosen = ""
+    if tried[0] == "egl" and (index := os.environ.get(_DEVICE)) is not None:
+        chosen = f"{_DEVICE} = {index}: give the index of a GPU, or unset it; "
     root = hasattr(os, "geteuid") and os.geteuid() == 0
-    return REMEDIES[tried[0]].format(sudo="" if root else "sudo ")
+    return chosen + REMEDIES[tried[0]].format(sudo="" if root else "sudo ")
 
 
-@dataclass(frozen=True)
-class Finding:
-    """Result of :func:`probe` for one backend: properties of its context, or an error."""
-
-    backend: str
-    renderer: str = ""
-    version: str = ""
-    samples: int = 0
-    size: int = 0
-    error: str = ""
-
-
-def probe() -> list[Finding]:
-    """Try the backends "egl", "osmesa" and "native", and return the result of each."""
+def probe() -> list[dict[str, Any]]:
+    """Try the backends "egl", "osmesa" and "native"; return the properties or the error of each."""
     findings = []
     for name in BACKENDS[1:-1]:
+        values: tuple[Any, ...] = "", "", 0, 0, ""
         try:
             context = create_context(name)
         except ContextError as error:
-            findings.append(Finding(name, error=str(error)))
+            values = *values[:-1], str(error)
         else:
             limits = context.most_samples, context.max_side
-            findings.append(Finding(name, context.renderer, context.version, *limits))
+            values = context.renderer, context.version, *limits, ""
             context.release()
+        names = "backend", "renderer", "version", "samples", "size", "error"
+        findings.append(dict(zip(names, (name, *values), strict=True)))
     return findings

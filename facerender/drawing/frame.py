@@ -3,17 +3,20 @@ scene and the shading as text. No OpenGL."""
 
 from __future__ import annotations
 
+import math
 import os
 import zlib
+from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, partial
 from pathlib import PurePath
 from typing import IO, TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import ResolvedPart, ResolvedScene
+from facerender.drawing.prepare import Appearance
 from facerender.errors import InputError, check_switch, check_type, clipped, shown, warn
 from facerender.images.animation import arranged
 from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
@@ -35,26 +38,46 @@ _LONGEST = 400  # characters of a value: Exif metadata of a JPEG has at most 64 
 _ALWAYS = ("albedo", "m", "f0", "ks", "kd")  # factors that are listed also if they are defaults
 
 
-def mesh_metadata(mesh: Mesh) -> dict[str, str]:
-    """Return a mesh as text, without paths of files: the keys "mesh", and the factors and maps of
-    materials by the names of :class:`Material`, such as "m", unless all parts have the default."""
+class LazyMetadata(UserDict[str, str]):
+    """Metadata that are made on first use: most frames of a loop are never saved."""
+
+    def __init__(self, make: Callable[[], dict[str, str]]) -> None:
+        self._make = make
+
+    @cached_property
+    def data(self) -> dict[str, str]:  # type: ignore[override]
+        return self._make()
+
+    def __or__(self, other: Mapping[str, str]) -> dict[str, str]:  # type: ignore[override]
+        return {**self.data, **other}
+
+    def __ror__(self, other: Mapping[str, str]) -> dict[str, str]:  # type: ignore[override]
+        return {**other, **self.data}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return LazyMetadata, (partial(dict, self.data),)
+
+
+def _mesh_metadata(mesh: Mesh) -> dict[str, str]:
     texts = {"mesh": _mesh(mesh)}
     for field in fields(Material):
         values = [_used(material, field.name) for material in mesh.materials]
         if field.name in _ALWAYS or any(value != field.default for value in values):
             texts[field.name] = _by_part(mesh, values)
-    return {name: _limited(text) for name, text in texts.items()}
+    return texts
 
 
-def scene_metadata(scene: Scene, parts: Sequence[ResolvedPart]) -> dict[str, str]:
-    """Return the parameters of a scene, except its mesh, as text, without paths of files.
+def scene_metadata(scene: Scene, look: Appearance) -> dict[str, str]:
+    """Return a scene as text, without paths of files.
 
-    The keys are "camera", "light 0" and so on, "ambient", "background", "environment", "before";
-    and "textures": "float", or "8-bit" if an 8-bit map is used.
-
-    parts : parts of the resolved scene
+    It has the keys "mesh"; the factors and maps of materials by the names of :class:`Material`,
+    such as "m", unless all parts have the default; "camera", "light 0" and so on, "ambient",
+    "background", "environment", "before"; and "textures": "float", or "8-bit" if an 8-bit map is
+    used. Most frames have the mesh of the frame before.
     """
-    texts = {"camera": repr(scene.camera)}
+    mesh = scene.mesh
+    texts: dict[str, str] = {**look.draws.of("mesh", mesh.token, lambda: _mesh_metadata(mesh))}
+    texts["camera"] = repr(scene.camera)
     texts |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
     texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
     if scene.environment is not None:
@@ -63,15 +86,14 @@ def scene_metadata(scene: Scene, parts: Sequence[ResolvedPart]) -> dict[str, str
         texts["environment"] = f"{name}, rotation {rotation}, scale {scale}"
     if scene.before is not None:
         texts["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
-    maps = (kind for part in parts for *_, kind in part.maps)
+    maps = (kind for part in look.parts for *_, kind in part.maps)
     texts["textures"] = "float" if all(kind == "linear-color" for kind in maps) else "8-bit"
     return {name: _limited(text) for name, text in texts.items()}
 
 
-def shading_metadata(resolved: ResolvedScene, only: Only | None) -> dict[str, str]:
+def shading_metadata(look: Appearance, only: Only | None) -> dict[str, str]:
     """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
     differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
-    look = resolved.appearance
     shading = look.shading
     texts = {key: str(value) for key, value in shading.as_dict().items()}
     for name in ("model", "lobe", "fresnel", "masking"):
@@ -120,13 +142,6 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     return "; ".join(f"{text} ({', '.join(part_names)})" for text, part_names in names.items())
 
 
-# Keyed by term: linear values of 8-bit images, as metadata.
-_RANGES: dict[str | None, str] = {
-    **dict.fromkeys(("specular", "diffuse", "albedo"), "sRGB of 0 to 1"),
-    **dict.fromkeys(("cosines", "visibility", "mask"), "0 at 0, 255 at 1"),
-    "normal": "0 at -1, 255 at 1",
-    "parts": "a colour for each part",
-}
 IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
 
 
@@ -184,22 +199,26 @@ class Frame:
 
         exposure : exposure of radiance and albedo, in stops; default 0
         """
+        return self._display(exposure)[0]
+
+    def _display(self, exposure: float) -> tuple[NDArray[np.uint8], dict[str, str]]:
+        """Return the result of :meth:`srgb8`, and further metadata: the linear values that the
+        bytes stand for, and an exposure that changes them."""
         EXPOSURES.check("exposure", exposure)
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
-        conversions: dict[str | None, Callable[[], NDArray[np.float32]]] = {
-            "normal": lambda: (color * 0.5 + 0.5) * coverage,
-            "parts": lambda: _part_colors(color[..., 0]),
-            "motion": lambda: _motion_colors(color),
-            "depth": lambda: _depth_as_brightness(color, coverage),
-            **dict.fromkeys(("cosines", "visibility", "mask"), lambda: color),
-        }
-        if self.only in conversions:
-            pixels = _bytes(conversions[self.only]())
+        metadata = {}
+        if self.only in _CONVERSIONS:
+            values, metadata["range"] = _CONVERSIONS[self.only](color, coverage)
+            pixels = _bytes(values)
         else:
             if self.transparent:
                 color = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
             pixels = encode_srgb8(color, exposure)
-        return np.concatenate([pixels, _bytes(coverage)], axis=-1) if self.transparent else pixels
+            metadata["exposure"] = str(float(exposure)) if exposure else ""
+            metadata["range"] = "sRGB of 0 to 1" if self.only else ""
+        if self.transparent:
+            pixels = np.concatenate([pixels, _bytes(coverage)], axis=-1)
+        return pixels, {name: text for name, text in metadata.items() if text}
 
     def save(
         self,
@@ -240,26 +259,11 @@ class Frame:
         if format == "exr":
             channels = {"RGBA"[: self.linear.shape[2]]: self.linear}
             return exr_bytes("image.exr", channels, self.metadata)
+        pixels, further = self._display(exposure)
+        metadata = {**self.metadata, **further}
         if format == "png":
-            return png_bytes(self.srgb8(exposure), self._metadata(exposure))
-        return lossy_bytes(format, self.srgb8(exposure), self._metadata(exposure))
-
-    def _metadata(self, exposure: float) -> Mapping[str, str]:
-        """Return the metadata of an 8-bit image, with the linear values that its bytes stand for,
-        and with an exposure that changes its pixels."""
-        metadata = dict(self.metadata)
-        if exposure and self.only in (None, "specular", "diffuse", "albedo"):
-            metadata["exposure"] = str(float(exposure))
-        if self.only in _RANGES:
-            metadata["range"] = _RANGES[self.only]
-        covered = self.linear[self.linear[..., 3] > 0.0]
-        if self.only == "depth" and len(covered):
-            near, far = covered[:, 0].min(), covered[:, 0].max()
-            metadata["range"] = f"255 at {near:.6g}, 26 at {far:.6g} mesh units"
-        if self.only == "motion" and len(covered):
-            longest = np.hypot(*covered[:, :2].T).max()
-            metadata["range"] = f"brightness 255 at {longest:.6g} pixels"
-        return metadata
+            return png_bytes(pixels, metadata)
+        return lossy_bytes(format, pixels, metadata)
 
     @property
     def image(self) -> Image:
@@ -282,43 +286,50 @@ def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
 
 
-def _grey(values: NDArray[np.float32], covered: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    return np.repeat(_bytes(values[..., None] * covered), 3, axis=-1)
-
-
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return a colour (..., 3) for each number (part index plus 1); 0 is black. The hue advances by
     the golden ratio, so that consecutive numbers have very different hues."""
-    hue = _hue(numbers * np.float32(0.618034))
-    level = 1.0 - 0.2 * (numbers[..., None] % 3.0)
-    return np.asarray(level * (0.25 + 0.75 * hue) * (numbers[..., None] > 0.0))
-
-
-def _motion_colors(motion: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a colour (..., 3) for each motion vector; see :meth:`Frame.srgb8`."""
-    x, y = motion[..., 0], motion[..., 1]
-    length = np.hypot(x, y)
-    level = length / max(float(length.max()), 1e-30)
-    turns: NDArray[np.float32] = np.asarray(np.arctan2(y, x) / (2.0 * np.pi), dtype=np.float32)
-    return np.asarray(level[..., None] * _hue(turns), dtype=np.float32)
+    hue, number = _hue(numbers * np.float32(0.618034)), numbers[..., None]
+    return np.asarray((1.0 - 0.2 * (number % 3.0)) * (0.25 + 0.75 * hue) * (number > 0.0))
 
 
 def _hue(turns: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the pure colour (..., 3) of each hue: red at 0, green at 1/3, blue at 2/3."""
     thirds = np.array([0.0, 2.0 / 3.0, 1.0 / 3.0], dtype=np.float32)
-    wave = np.abs(6.0 * ((turns[..., None] + thirds) % 1.0) - 3.0) - 1.0
-    return np.asarray(np.clip(wave, 0.0, 1.0))
+    return np.asarray(np.clip(np.abs(6.0 * ((turns[..., None] + thirds) % 1.0) - 3.0) - 1.0, 0, 1))
 
 
-def _depth_as_brightness(
-    depth: NDArray[np.float32], coverage: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _motion(motion: NDArray[np.float32], coverage: NDArray[np.float32]) -> _Converted:
+    x, y = motion[..., 0], motion[..., 1]
+    length = np.hypot(x, y)
+    longest = length.max()
+    level = length / max(float(longest), 1e-30)
+    turns = np.asarray(np.arctan2(y, x) / (2.0 * np.pi), dtype=np.float32)
+    text = f"brightness 255 at {longest:.6g} pixels" if coverage.any() else ""
+    return np.asarray(level[..., None] * _hue(turns), dtype=np.float32), text
+
+
+def _depth(depth: NDArray[np.float32], coverage: NDArray[np.float32]) -> _Converted:
     inside = depth[coverage[..., 0] > 0.0]
     if not inside.size:
-        return depth
+        return depth, ""
     near, far = inside.min(), inside.max()
-    span = max(float(far - near), 1e-30)
-    return np.asarray((1.0 - 0.9 * (depth - near) / span) * coverage)
+    brightness = 1.0 - 0.9 * (depth - near) / max(float(far - near), 1e-30)
+    return brightness * coverage, f"255 at {near:.6g}, 26 at {far:.6g} mesh units"
+
+
+# Colours in [0, 1] of 8-bit images by term, and the linear values that they stand for. The
+# arguments are the linear colours (H, W, 3) and the coverage (H, W, 1).
+_Converted = tuple[NDArray[np.float32], str]
+_CONVERSIONS: dict[str | None, Callable[..., _Converted]] = {
+    **dict.fromkeys(
+        ("cosines", "visibility", "mask"), lambda color, _: (color, "0 at 0, 255 at 1")
+    ),
+    "normal": lambda color, coverage: ((color * 0.5 + 0.5) * coverage, "0 at -1, 255 at 1"),
+    "parts": lambda color, _: (_part_colors(color[..., 0]), "a colour for each part"),
+    "motion": _motion,
+    "depth": _depth,
+}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -388,16 +399,16 @@ class GBuffer:
     def _repr_png_(self) -> bytes:
         """Return a sheet of parts, normal, albedo, m, occlusion and the visibility of the first
         light as PNG, which notebooks display. Transparent layers are left out."""
-        covered = self.part[..., None] >= 0
+        covered, first = self.part[..., None] >= 0, self.visibility[..., :1]
         layers = {
             "part": _bytes(_part_colors(self.part + np.float32(1.0))),
             "normal": _bytes((self.normal * 0.5 + 0.5) * covered),
             "albedo": encode_srgb8(self.albedo),
-            **{name: _grey(getattr(self, name), covered) for name in ("m", "occlusion")},
         }
-        if self.visibility.shape[2]:
-            layers["visibility"] = _grey(self.visibility[..., 0], covered)
-        return png_bytes(arranged(list(layers.values()), list(layers), columns=3), {})
+        for name, image in {"m": self.m, "occlusion": self.occlusion, "visibility": first}.items():
+            if image.size:
+                layers[name] = _bytes(image.reshape(covered.shape) * covered).repeat(3, axis=-1)
+        return png_bytes(arranged([*layers.values()], [*layers], columns=3), {})
 
     def __repr__(self) -> str:
         height, width = self.part.shape
@@ -413,15 +424,14 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
     """
     covered = np.array([layer.part >= 0 for layer in layers])
     order = np.argsort(np.where(covered, numbers, np.inf), axis=0, kind="stable")
-    columns = []
-    for field in fields(GBuffer):
-        values = [getattr(layer, field.name) for layer in layers]
-        if layers and isinstance(values[0], np.ndarray):
-            stack = np.array(values)
+    sorted_images = {}
+    for name, value in vars(layers[0]).items() if layers else ():
+        if isinstance(value, np.ndarray):
+            stack = np.array([getattr(layer, name) for layer in layers])
             indices = order.reshape(order.shape + (1,) * (stack.ndim - order.ndim))
-            values = [*np.take_along_axis(stack, indices, axis=0)]
-        columns.append(values)
-    return [GBuffer(*values) for values in zip(*columns, strict=True)]
+            sorted_images[name] = np.take_along_axis(stack, indices, axis=0)
+    images = ({name: stack[i] for name, stack in sorted_images.items()} for i in range(len(layers)))
+    return [replace(layer, **values) for layer, values in zip(layers, images, strict=True)]
 
 
 def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
@@ -431,25 +441,22 @@ def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]
     view[..., 3] = covered
     position = gbuffer.normalised_position[covered].astype(np.float64)
     to_eye = gbuffer.view.position - position
-    values: NDArray[Any]
+    values: Any = 1.0
+    dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
     if only in ("albedo", "normal"):
         values = getattr(gbuffer, only)[covered]
     elif only == "depth":
         values = -(to_eye @ gbuffer.view.forward)[:, None] * scene.mesh.radius
-    elif only == "visibility":
-        dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
-        values = np.ones(1) if dark is None else gbuffer.visibility[covered][:, dark, None]
-    elif only == "mask":
-        values = np.ones(1)
+    elif only == "visibility" and dark is not None:
+        values = gbuffer.visibility[covered][:, dark, None]
     elif only == "parts":
         values = gbuffer.part[covered][:, None] + 1
-    else:
+    elif only == "cosines":
         l = v = unit(to_eye)
         for light in scene.lights[:1]:
             l, _ = light.kind.lighting(light, scene.mesh.space, position)
         normal = gbuffer.normal[covered].astype(np.float64)
-        cosines = [(normal * direction).sum(axis=-1) for direction in (l, v, unit(l + v))]
-        values = np.stack(cosines, axis=-1)
+        values = np.stack([(normal * w).sum(axis=-1) for w in (l, v, unit(l + v))], axis=-1)
     view[covered, :3] = values
     # The default background would tint the zeros that programs expect around the mesh.
     if only == "albedo" and scene.background not in (None, Scene.background):
@@ -462,9 +469,9 @@ def check_image(linear: NDArray[np.float32], scene: Scene, threshold: float | No
 
     threshold : smallest opacity of blended parts in a data image; None for other images
     """
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = linear.sum()  # a sum is three times as fast as isfinite on every value
-    if not np.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
+    # The sum of squares is several times as fast as isfinite on every value. It can also overflow.
+    total = float(np.vdot(linear, linear))
+    if not math.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
         row, column = np.unravel_index(int(finite.argmin()), finite.shape)
         raise InputError(
             f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache, reduce
 from typing import Any
 
@@ -28,27 +28,55 @@ _LARGEST = 16384  # largest width and height of an undistorted image
 Intrinsics = tuple[Vector, Vector, Vector]
 
 
-@dataclass(frozen=True, eq=False)
 class Lens:
     """A distorting lens for images of one size.
 
-    size : width and height of the distorted image
     wide : width and height of the undistorted image, which contains every pixel of the distorted
         image and resolves it at least as finely
     intrinsics : matrix K of the undistorted image
-    coefficients : see ``scene.camera``
     focal : (fx, fy) of the distorted image in its pixels
     places : (H * W, 2) float32, position of each pixel's centre in the undistorted image
     taps : (H * W,) uint8, taps per side of each pixel
     """
 
-    size: tuple[int, int]
-    wide: tuple[int, int]
-    intrinsics: Intrinsics
-    coefficients: Coefficients
-    focal: NDArray[np.float64]
-    places: NDArray[np.float32]
-    taps: NDArray[np.uint8]
+    def __init__(
+        self,
+        intrinsics: Intrinsics,
+        camera_size: tuple[int, int],
+        coefficients: Coefficients,
+        size: tuple[int, int],
+    ) -> None:
+        scale, k = np.divide(size, camera_size), np.array(intrinsics)
+        focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
+        count, finest = math.prod(size), math.inf
+        places = np.empty((count, 2))
+        spread = np.empty(count)  # largest extent of a pixel, in pixels of the same focal
+        for pixels in _in_steps(np.arange(count)):
+            centres = np.stack(np.divmod(pixels, size[0])[::-1], axis=-1) + 0.5
+            flat = undistort((centres - middle) / focal, coefficients)
+            places[pixels] = flat * focal
+            least, most = _singular(jacobian(flat, coefficients) * focal[:, None] / focal)
+            spread[pixels], finest = 1.0 / least, min(finest, 1.0 / float(most.max()))
+        if np.isnan(places).any():
+            raise InputError(f"camera distortion = {coefficients} is not invertible in the image")
+        places /= finest
+        spread /= finest
+        low, high = np.floor(places.min(axis=0)), np.ceil(places.max(axis=0))
+        reach = _MARGIN + math.ceil(min(spread.max(), _LARGEST))
+        width, height = (high - low).astype(int).tolist()
+        self.wide = width + 2 * reach, height + 2 * reach
+        if max(self.wide) > _LARGEST:
+            raise InputError(
+                f"camera distortion = {coefficients} needs an undistorted image of "
+                f"{self.wide[0]} x {self.wide[1]} pixels, but the limit is {_LARGEST} a side: give "
+                "a smaller size"
+            )
+        (fx, fy), (cx, cy) = (focal / finest).tolist(), (reach - low).tolist()
+        self.intrinsics: Intrinsics = (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
+        self.size, self.coefficients, self.focal = size, coefficients, focal
+        places -= low - reach
+        self.places = places.astype(np.float32)
+        self.taps = np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8)
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene with the camera of the undistorted image."""
@@ -105,50 +133,10 @@ class Lens:
 
 def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
     """Return the lens of a camera with distortion for images of the given size, from a cache."""
-    assert camera.intrinsics
-    assert camera.size
-    assert camera.distortion
     return _lens(camera.intrinsics, camera.size, camera.distortion, size)
 
 
-@lru_cache(maxsize=1)
-def _lens(
-    intrinsics: Intrinsics,
-    camera_size: tuple[int, int],
-    coefficients: Coefficients,
-    size: tuple[int, int],
-) -> Lens:
-    scale = np.divide(size, camera_size)
-    k = np.array(intrinsics)
-    focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
-    width, height = size
-    places = np.empty((width * height, 2))
-    spread = np.empty(width * height)  # largest extent of a pixel, in pixels of the same focal
-    finest = math.inf
-    for pixels in _in_steps(np.arange(width * height)):
-        centres = np.stack([pixels % width, pixels // width], axis=-1) + 0.5
-        flat = undistort((centres - middle) / focal, coefficients)
-        places[pixels] = flat * focal
-        low, high = _singular(jacobian(flat, coefficients) * focal[:, None] / focal)
-        spread[pixels], finest = 1.0 / low, min(finest, 1.0 / float(high.max()))
-    if np.isnan(places).any():
-        raise InputError(f"camera distortion = {coefficients} is not invertible in the image")
-    places /= finest
-    spread /= finest
-    low, high = np.floor(places.min(axis=0)), np.ceil(places.max(axis=0))
-    reach = _MARGIN + math.ceil(min(spread.max(), _LARGEST))
-    wide = (high - low).astype(int) + 2 * reach
-    if max(wide) > _LARGEST:
-        raise InputError(
-            f"camera distortion = {coefficients} needs an undistorted image of {wide[0]} x "
-            f"{wide[1]} pixels, but the limit is {_LARGEST} a side: give a smaller size"
-        )
-    places -= low - reach
-    (fx, fy), (cx, cy) = (focal / finest).tolist(), (reach - low).tolist()
-    matrix = (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
-    taps = np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8)
-    wide_size, places32 = (int(wide[0]), int(wide[1])), places.astype(np.float32)
-    return Lens(size, wide_size, matrix, coefficients, focal, places32, taps)
+_lens = lru_cache(maxsize=1)(Lens)
 
 
 def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
@@ -176,22 +164,19 @@ def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> ND
     fractions = places - 0.5 - origins
     x, y = (_weights(fraction) for fraction in fractions.T)
     columns, rows = origins.astype(np.intp).T - 1
-    line, texel = image.strides[:2]
     # Each entry holds four neighbours of a row.
-    runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (line, texel, 4))
+    runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (*image.strides[:2], 4))
+    lines = [runs[rows + number, columns].reshape(-1, 4, 4) for number in range(4)]
     total = np.zeros((len(places), 4), dtype=np.float32)
-    near = []
-    for number in range(4):
-        run = runs[rows + number, columns].reshape(-1, 4, 4)
-        total += y[:, number, None] * np.einsum("nk,nkc->nc", x, run)
-        near += [run[:, 1], run[:, 2]] if number in (1, 2) else []
+    for weight, line in zip(y.T, lines, strict=True):
+        total += weight[:, None] * np.einsum("nk,nkc->nc", x, line)
+    near = [line[:, column] for line in lines[1:3] for column in (1, 2)]
     low, high = (reduce(limit, near) for limit in (np.minimum, np.maximum))
     np.clip(total, low, high, out=total)
     edge = np.flatnonzero((low[:, 3] < 0.5) & (high[:, 3] > 0.0))
     across, down = fractions[edge].T[..., None]
-    above, below = (
-        left[edge] + across * (right[edge] - left[edge]) for left, right in (near[:2], near[2:])
-    )
+    a, b, c, d = (values[edge] for values in near)
+    above, below = a + across * (b - a), c + across * (d - c)
     total[edge] = above + down * (below - above)
     return total
 
@@ -200,5 +185,5 @@ def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the weights (N, 4) of four neighbours at the fraction t of the step between the second
     and the third."""
     s = 1.0 - t
-    inner, next_inner = 1.0 + t * t * (1.5 * t - 2.5), 1.0 + s * s * (1.5 * s - 2.5)
-    return np.stack([-0.5 * t * s * s, inner, next_inner, -0.5 * s * t * t], axis=-1)
+    second, third = (1.0 + d * d * (1.5 * d - 2.5) for d in (t, s))
+    return np.stack([-0.5 * t * s * s, second, third, -0.5 * s * t * t], axis=-1)

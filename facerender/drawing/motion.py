@@ -3,24 +3,19 @@ only finds the visible triangles; the displacements are computed in float64."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Draw, Pass, Target, mask_features
+from facerender.drawing.frame_passes import INDEX_BASE
 from facerender.drawing.prepare import ResolvedScene
-from facerender.drawing.program import Program, surface_features
 from facerender.errors import InputError
 from facerender.scene.scene import Scene
 from facerender.scene.view import View
 
 Float = NDArray[np.float64]
 
-# Triangles per unit of the second channel that depth.frag writes: float32 does not represent all
-# indices above 2^24.
-_INDEX_BASE = 4096
 # Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
 # of different centre. Rounding errors of float64 then leave static points at 0.
 _DIGITS = 6
@@ -29,9 +24,7 @@ _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 def pixel_centres(size: tuple[int, int]) -> Float:
     """Return the centre (H * W, 2) of each pixel of an image, row by row."""
-    width, height = size
-    row, column = np.divmod(np.arange(width * height), width)
-    return np.stack([column, row], axis=-1) + 0.5
+    return np.stack(np.divmod(np.arange(math.prod(size)), size[0])[::-1], axis=-1) + 0.5
 
 
 def check_before(scene: Scene) -> Scene:
@@ -52,24 +45,11 @@ def check_before(scene: Scene) -> Scene:
     return before
 
 
-def triangle_pass(resolved: ResolvedScene, view: View) -> Pass:
-    """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
-    part plus 1, and two channels with the index of the triangle in drawing order."""
-    draws = []
-    for part in resolved.appearance.unblended:
-        features = mask_features(surface_features(part, resolved.appearance.shading))
-        program = Program("depth.frag", features=(*features, f"TRIANGLE {_INDEX_BASE}"))
-        setup, both = resolved.scene.mesh.setups[part.index], part.material.double_sided
-        order = setup.facing(view.position) if both is False else None
-        draws.append(replace(Draw.of_part(program, part, part=part.index + 1), order=order))
-    return Pass("triangles", Target(), tuple(draws), uniforms={"view_projection": view.matrix})
-
-
 def motion_vectors(
     scene: Scene,
     before: Scene,
     views: tuple[View, View],
-    draws: Sequence[Draw],
+    resolved: ResolvedScene,
     triangles: NDArray[np.float32],
     flat: View,
     rays: Float,
@@ -78,8 +58,8 @@ def motion_vectors(
 
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    draws, triangles : the draws of :func:`triangle_pass`, and the values at the image's pixels,
-        (H, W, 4)
+    resolved, triangles : the scene of ``triangle_pass``, and this pass's values at the image's
+        pixels, (H, W, 4)
     flat : the camera of this frame without lens distortion
     rays : (H * W, 2), positions at which the rays through the centres of the pixels meet the image
         of this camera, from -1 to 1
@@ -89,14 +69,15 @@ def motion_vectors(
     image = np.zeros_like(texels)
     covered = np.flatnonzero(texels[:, 0])
     part_numbers = texels[covered, 0]
-    for draw in draws:
-        number = draw.uniforms["part"]
-        pixels = covered[part_numbers == number]
+    for resolved_part in resolved.appearance.unblended:
+        number = resolved_part.index
+        pixels = covered[part_numbers == number + 1]
         if not len(pixels):
             continue
-        index = (texels[pixels, 1] * _INDEX_BASE + texels[pixels, 2]).astype(np.int64)
-        index = index if draw.order is None else draw.order[index]
-        part, old_part = (frame.mesh.parts[number - 1] for frame in (scene, before))
+        index = (texels[pixels, 1] * INDEX_BASE + texels[pixels, 2]).astype(np.int64)
+        if resolved_part.material.double_sided is False:
+            index = resolved.scene.mesh.setups[number].facing(flat.position)[index]
+        part, old_part = (frame.mesh.parts[number] for frame in (scene, before))
         visible, index = _unique(index, len(part.faces))
         corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))
         weights = _weights(flat, scene.mesh.normalised(corners), index, rays[pixels])
@@ -132,11 +113,8 @@ def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) 
     """
     a, b, c = np.moveaxis(corners @ view.matrix[:3, _XYW] + view.matrix[3, _XYW], 0, -1).copy()
     x, y = rays.T
-    weights = np.empty((3, len(rays)))
-    for weight, (p, q) in zip(weights, ((b, c), (c, a), (a, b)), strict=True):
-        np.multiply((p[1] * q[2] - p[2] * q[1])[index], x, out=weight)
-        weight += (p[2] * q[0] - p[0] * q[2])[index] * y
-        weight += (p[0] * q[1] - p[1] * q[0])[index]
+    edges = (np.cross(p, q, axis=0) for p, q in ((b, c), (c, a), (a, b)))
+    weights = np.array([u[index] * x + v[index] * y + w[index] for u, v, w in edges])
     with np.errstate(divide="ignore", invalid="ignore"):
         weights = np.maximum(weights / weights.sum(axis=0), 0.0)
     weights[:, ~np.isfinite(weights).all(axis=0)] = 1.0  # exactly edge-on
@@ -145,7 +123,6 @@ def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) 
 
 def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
     """Return the weighted means (N, 3) of the corners of triangles."""
-    means = np.zeros((len(index), 3))
-    for corner, weight in enumerate(weights):
-        means += np.take(corners[:, corner], index, axis=0) * weight[:, None]
-    return means
+    corners = np.moveaxis(corners, 1, 0)
+    terms = (np.take(corner, index, axis=0) for corner in corners)
+    return np.asarray(sum(map(np.multiply, terms, weights[..., None])))

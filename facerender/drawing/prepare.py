@@ -20,6 +20,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
@@ -45,8 +46,6 @@ class LightGroup:
     """Lights of one kind, all with or all without a specular term and a shadow.
 
     kind : see ``scene.light.LIGHT_KINDS``
-    specular : whether the lights have a specular term
-    count : number of lights, at least one
     shadows : index of the shadow map of the group's first light; None for lights without shadows
     """
 
@@ -56,7 +55,6 @@ class LightGroup:
     shadows: int | None = None
 
 
-@dataclass(frozen=True)
 class Lighting:
     """The lights of a scene in the order in which programs loop over them.
 
@@ -66,24 +64,17 @@ class Lighting:
     order : for each sorted light, its index in the scene
     """
 
-    order: tuple[int, ...]
-    lights: tuple[Light, ...]
-    groups: tuple[LightGroup, ...]
-
-    @classmethod
-    def of(cls, scene: Scene, shading: Shading) -> Lighting:
-        """Sort the lights of a scene."""
+    def __init__(self, scene: Scene, shading: Shading) -> None:
         keys = [
             (light.kind.name, not shading.shines(index), light.shadow)
             for index, light in enumerate(scene.lights)
         ]
         groups, maps = [], 0
-        for key, count in sorted(Counter(keys).items()):
-            kind, without_term, shadow = key
+        for (kind, without_term, shadow), count in sorted(Counter(keys).items()):
             groups.append(LightGroup(kind, not without_term, count, maps if shadow else None))
             maps += count * shadow
-        order = tuple(sorted(range(len(keys)), key=keys.__getitem__))
-        return cls(order, tuple(scene.lights[index] for index in order), tuple(groups))
+        self.groups, self.order = tuple(groups), sorted(range(len(keys)), key=keys.__getitem__)
+        self.lights = [scene.lights[index] for index in self.order]
 
     @property
     def shining(self) -> int:
@@ -104,7 +95,7 @@ class ResolvedPart:
     part : the part in the reference pose
     material : material without the features that the shading leaves out
     alpha : see :func:`facerender.mesh.mesh.drawn_alpha`
-    maps : see :func:`part_maps`
+    maps : uniform name, texture and kind of mip chain of each map
     """
 
     index: int
@@ -117,12 +108,39 @@ class ResolvedPart:
 def resolved_parts(
     mesh: Mesh, albedo: Kind = "color", slope_filter: bool = True
 ) -> tuple[ResolvedPart, ...]:
-    """Return the parts of a mesh as they are drawn; for the parameters see :func:`part_maps`."""
+    """Return the parts of a mesh as they are drawn.
+
+    albedo : kind of mip chain of colour maps: "color" or "linear-color"
+    slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
+    """
     pairs = enumerate(zip(mesh.geometry.parts, mesh.materials, strict=True))
     return tuple(
-        ResolvedPart(i, *pair, drawn_alpha(*pair), part_maps(*pair, albedo, slope_filter))
+        ResolvedPart(i, *pair, drawn_alpha(*pair), _maps(*pair, albedo, slope_filter))
         for i, pair in pairs
     )
+
+
+def _maps(
+    part: Part, material: Material, albedo: Kind, slope_filter: bool
+) -> list[tuple[str, Texture, Kind]]:
+    if part.uv is None:
+        return []
+    candidates: list[tuple[str, Texture | None, Kind]] = [
+        ("albedo_map", material.albedo_map, albedo),
+        ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
+        ("property_map", material.property_map, "data"),
+        ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
+        ("opacity_map", None if material.alpha == "opaque" else material.opacity_map, "data"),
+        ("emissive_map", material.emissive_map if any(material.emissive) else None, albedo),
+    ]
+    if not material.packs:
+        apart = zip(PROPERTY_MAPS, material.properties, strict=True)
+        candidates += [(name, texture, "data") for name, texture in apart]
+    return [
+        (name, texture, kind)
+        for name, texture, kind in candidates
+        if texture is not None and coordinates(part, material, name) is not None
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +150,9 @@ class Appearance:
     It belongs to one geometry, and stays the same while the camera and the pose change, so that it
     owns what the renderer derives from it.
 
-    materials, lights, ambient, environment : as in the simplified scene
-    space : see :class:`facerender.mesh.part.Space`
-    draws : draws of the parts and other results, which the passes add under a key
+    materials, lights, ambient, environment, space : of the simplified scene
+    changed : names of the fields of the scene that the simplified scene changes
+    draws : results that frames derive from the appearance, by name
     token : value that no other appearance has
     """
 
@@ -146,15 +164,19 @@ class Appearance:
     shading: Shading
     lighting: Lighting
     parts: tuple[ResolvedPart, ...]
+    changed: tuple[str, ...]
     draws: Latest = field(default_factory=Latest)
     token: object = field(default_factory=object)
 
     @classmethod
-    def of(cls, scene: Scene, shading: Shading, albedo: Kind) -> Appearance:
-        """Return the appearance of a simplified scene; for ``albedo`` see :func:`part_maps`."""
+    def of(
+        cls, scene: Scene, shading: Shading, albedo: Kind, changed: tuple[str, ...] = ()
+    ) -> Appearance:
+        """Return the appearance of a simplified scene; see also :func:`resolved_parts`."""
         mesh, parts = scene.mesh, resolved_parts(scene.mesh, albedo, shading.slope_filter)
         light = scene.lights, scene.ambient, scene.environment
-        return cls(mesh.materials, *light, mesh.space, shading, Lighting.of(scene, shading), parts)
+        lighting = Lighting(scene, shading)
+        return cls(mesh.materials, *light, mesh.space, shading, lighting, parts, changed)
 
     @cached_property
     def slopes(self) -> list[tuple[float, float]]:
@@ -163,17 +185,15 @@ class Appearance:
         The largest m includes the largest amounts that slope filter and area lights add. Raises
         InputError if a light is too near to the mesh for its radius.
         """
-        shading = self.shading
         discs = [disc for light in self.lights if (disc := disc_of(light, self.space))]
         shared = max((float(slope_variance_disc(*disc, 0.0)) for disc in discs), default=0.0)
-        ranges = []
+        filters, ranges = self.shading.normal_map and self.shading.slope_filter, []
         for resolved in self.parts:
             part, material = resolved.part, resolved.material
             smallest, largest = slope_range(part, material)
             variance = shared
-            if part.uv is not None and material.normal_map and shading.normal_map:
-                strength = material.normal_strength**2
-                variance += strength * float(slope_variance_map(1.0)) * shading.slope_filter
+            if part.uv is not None and material.normal_map and filters:
+                variance += material.normal_strength**2 * float(slope_variance_map(1.0))
             largest = float(slope_filtered(largest, variance)) if variance else largest
             ranges.append((smallest, largest))
         return ranges
@@ -182,8 +202,8 @@ class Appearance:
     def terms(self) -> list[Term]:
         """The term of each part, with the exact lobe if the shading's lobe forbids the part's m.
         Raises InputError instead if ``shading.outside`` is "error"."""
-        shading = self.shading
-        return [shading.term.for_slopes(*limits, shading.outside) for limits in self.slopes]
+        term, outside = self.shading.term, self.shading.outside
+        return [term.for_slopes(*limits, outside) for limits in self.slopes]
 
     @cached_property
     def light_spaces(self) -> list[LightSpace]:
@@ -192,21 +212,31 @@ class Appearance:
         return [light_space(light, self.space) for light in self.lighting.lights if light.shadow]
 
     @cached_property
-    def light_uniforms(self) -> dict[str, Any]:
-        """The uniforms of all lights: arrays keyed by name."""
-        arrays: dict[str, Any] = {}
-        lights = self.lighting.lights
-        for kind in dict.fromkeys(light.kind for light in lights):
-            arrays |= kind.uniforms([light for light in lights if light.kind is kind], self.space)
-        if spaces := self.light_spaces:
-            arrays["shadow_view"] = np.array([space.matrix for space in spaces])
-            arrays["shadow_size"] = np.array([(s.tan_radius, s.top, s.scale) for s in spaces])
-        return arrays
-
-    @cached_property
     def unblended(self) -> list[ResolvedPart]:
         """The parts that are not blended."""
         return [part for part in self.parts if part.alpha != "blend"]
+
+    @cached_property
+    def refracts(self) -> bool:
+        """Whether a part refracts light."""
+        return any(material.refracts for material in self.materials)
+
+    @cached_property
+    def scatters(self) -> bool:
+        """Whether light scatters in a part."""
+        return any(m.scattering and m.diffuse_weight > 0.0 for m in self.materials)
+
+    @cached_property
+    def large_maps(self) -> list[tuple[ResolvedPart, str, Texture, NDArray[np.float64]]]:
+        """The maps of more than LARGE texels, by part: name, map and texture coordinates."""
+        return [
+            (part, name, texture, uv)
+            for part in self.parts
+            for name in MAPS
+            if (texture := getattr(part.material, name)) is not None
+            and math.prod(texture.size) > LARGE
+            and (uv := coordinates(part.part, part.material, name)) is not None
+        ]
 
     @cached_property
     def blended(self) -> list[ResolvedPart]:
@@ -233,25 +263,26 @@ def appearance_of(scene: Scene, shading: Shading, albedo: Kind = "color") -> App
     light = scene.lights, scene.ambient, scene.environment
     key = mesh.materials, *light, mesh.space, shading, albedo
     recent = mesh.geometry.derived.setdefault("appearances", [])
-    look = next((appearance for other, appearance in recent if other == key), None)
-    if look is None:
-        look = Appearance.of(simplify(scene, shading), shading, albedo)
-        # Appearances with other images would keep these images in memory.
-        images = _images(mesh.materials)
-        others = [pair for pair in recent if _images(pair[0][0]) == images]
-        recent[:] = [(key, look), *others[: _MOST_RECENT - 1]]
+    look: Appearance
+    for other, look in recent:
+        if other == key:
+            return look
+    simple = simplify(scene, shading)
+    names = "mesh", "lights", "ambient", "environment"
+    changed = tuple(n for n in names if getattr(simple, n) is not getattr(scene, n))
+    look = Appearance.of(simple, shading, albedo, changed)
+    # Appearances with other images would keep these images in memory.
+    images = _images(mesh.materials)
+    others = [pair for pair in recent if _images(pair[0][0]) == images]
+    recent[:] = [(key, look), *others[: _MOST_RECENT - 1]]
     return look
 
 
 def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
     """Return a simplified scene with its appearance; see :func:`appearance_of`."""
     mesh, look = scene.mesh, appearance_of(scene, shading, albedo)
-    changes: dict[str, Any] = {
-        name: value
-        for name in ("lights", "ambient", "environment")
-        if (value := getattr(look, name)) is not getattr(scene, name)
-    }
-    if look.materials is not mesh.materials:
+    changes: dict[str, Any] = {name: getattr(look, name) for name in look.changed if name != "mesh"}
+    if "mesh" in look.changed:
         changes["mesh"] = replace(mesh, materials=look.materials)
     return ResolvedScene(replace(scene, **changes) if changes else scene, look)
 
@@ -309,15 +340,9 @@ def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotro
 
     anisotropy : maximum anisotropy of texture filtering
     """
-    scene = resolved.scene
-    large = [
-        (part, name, texture, uv)
-        for part in resolved.appearance.parts
-        for name in MAPS
-        if (texture := getattr(part.material, name)) is not None
-        and math.prod(texture.size) > LARGE
-        and (uv := coordinates(part.part, part.material, name)) is not None
-    ]
+    scene, large = resolved.scene, resolved.appearance.large_maps
+    if not large:
+        return scene
     levels: dict[Any, int] = {}
     spared: dict[Texture, int] = {}
     for part, _, texture, uv in large:
@@ -334,35 +359,6 @@ def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotro
         coarser: dict[str, Any] = {name: texture.coarser(spared[texture])}
         materials[part.index] = replace(materials[part.index], **coarser)
     return replace(scene, mesh=replace(scene.mesh, materials=tuple(materials)))
-
-
-def part_maps(
-    part: Part, material: Material, albedo: Kind, slope_filter: bool
-) -> list[tuple[str, Texture, Kind]]:
-    """Return the uniform name, the texture and the kind of mip chain for each map of a part.
-
-    albedo : kind of mip chain of colour maps: "color" or "linear-color"
-    slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
-    """
-    if part.uv is None:
-        return []
-    emissive = material.emissive_map if any(material.emissive) else None
-    candidates: list[tuple[str, Texture | None, Kind]] = [
-        ("albedo_map", material.albedo_map, albedo),
-        ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
-        ("property_map", material.property_map, "data"),
-        ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
-        ("opacity_map", None if material.alpha == "opaque" else material.opacity_map, "data"),
-        ("emissive_map", emissive, albedo),
-    ]
-    if not material.packs:
-        apart = zip(PROPERTY_MAPS, material.properties, strict=True)
-        candidates += [(name, texture, "data") for name, texture in apart]
-    return [
-        (name, texture, kind)
-        for name, texture, kind in candidates
-        if texture is not None and coordinates(part, material, name) is not None
-    ]
 
 
 def start_maps(parts: Iterable[ResolvedPart]) -> None:

@@ -4,21 +4,21 @@ with this program, and ``pricing`` measures the program's cost. No OpenGL here."
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import LightGroup, Lighting, ResolvedPart, ResolvedScene
+from facerender.drawing.prepare import Appearance, LightGroup, Lighting, ResolvedPart
 from facerender.glsl.library import call, environment_call, prelude, resolve_includes
 from facerender.material import PROPERTY_MAPS
 from facerender.mesh.mesh import base_slope
 from facerender.mesh.part import Part
 from facerender.scene.scene import Only
 from facerender.scene.shading import Shading, Term
-from facerender.scene.view import View
 
 ENVIRONMENT_MAP = "environment_map"
 IN_ROW = 256  # vertices or triangles in a row of a texture
@@ -56,7 +56,7 @@ class Program:
         """Return the GLSL of the stages "vert" and "frag" with the line ``#version VERSION``."""
         head = "".join(f"#define {name}\n" for name in self.features)
         head += f"#define ENVIRONMENT_RADIANCE {self.environment}\n" * bool(self.environment)
-        light = "" if self.lights is None else self._term() + self._lights()
+        light = "" if self.lights is None else self._term() + self._lights(self.lights)
         stages = {}
         for stage, code, file in (("vert", "", self.vertex), ("frag", light, self.fragment)):
             text = resolve_includes(f'#version {version}\n{head}{code}#include "host/{file}"\n')
@@ -66,36 +66,31 @@ class Program:
     def _term(self) -> str:
         if not self.call:
             return ""
-        slopes = "float m, float f0"
-        if "TWO_LOBES" in self.features:
-            slopes = "float m, float second_m, float lobe_weight, float f0"
+        lobes = "float second_m, float lobe_weight, " * ("TWO_LOBES" in self.features)
         return (
             f"{self.prelude}#define SPECULAR\n"
-            f"float specular_term(vec3 n, vec3 l, vec3 v, {slopes}) {{\n"
+            f"float specular_term(vec3 n, vec3 l, vec3 v, float m, {lobes}float f0) {{\n"
             f"    return {self.call};\n}}\n"
         )
 
-    def _lights(self) -> str:
-        counts: dict[str, int] = {}
-        doubts, added = [], []
-        for group in self.lights or ():
-            first = counts.get(group.kind, 0)
-            counts[group.kind] = first + group.count
-            loop = f"for (int i = {first}; i < {counts[group.kind]}; ++i) "
-            light = f"{group.kind}_light(i, s.position)"
+    def _lights(self, groups: Sequence[LightGroup]) -> str:
+        counts: Counter[str] = Counter()
+        doubts, added = "", ""
+        for group in groups:
+            kind, first = group.kind, counts[group.kind]
+            counts[kind] += group.count
+            loop = f"for (int i = {first}; i < {counts[kind]}; ++i) "
+            light = f"{kind}_light(i, s.position)"
             if group.shadows is not None:
                 number = f"i + {group.shadows - first}"
-                doubts.append(
-                    f"{loop}if (in_doubt({light}, {number}, s, p)) doubts |= 1 << {number};"
-                )
+                doubts += f" {loop}if (in_doubt({light}, {number}, s, p)) doubts |= 1 << {number};"
                 light = f"shadowed({light}, seen[{number}])"
-            added.append(f"{loop}add_light(s, v, {light}, {str(group.specular).lower()});")
-        kinds = [
-            f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"'
+            added += f" {loop}add_light(s, v, {light}, {str(group.specular).lower()});"
+        kinds = "".join(
+            f'#define {kind.upper()}_LIGHTS {count}\n#include "host/light/{kind}.glsl"\n'
             for kind, count in counts.items()
-        ]
-        macros = f"#define EVERY_SHADOW {' '.join(doubts)}\n#define EVERY_LIGHT {' '.join(added)}\n"
-        return "\n".join([*kinds, macros])
+        )
+        return f"{kinds}#define EVERY_SHADOW{doubts}\n#define EVERY_LIGHT{added}\n"
 
 
 def surface_features(resolved: ResolvedPart, shading: Shading) -> tuple[str, ...]:
@@ -128,40 +123,37 @@ def surface_features(resolved: ResolvedPart, shading: Shading) -> tuple[str, ...
 
 
 def shade_program(
-    resolved: ResolvedScene,
+    look: Appearance,
     part: ResolvedPart,
     term: Term | None,
     smallest_m: float,
     only: Only | None = None,
 ) -> Program:
-    """Return the program that shades a part of a scene.
+    """Return the program that shades a part of an appearance.
 
     term : specular term of the lights; None to leave it out
     smallest_m : lowest m of the part's lobes; a term with a constant m ignores this value
     only : term to draw, "specular" or "diffuse"; None for the whole image
     """
-    scene, look, material = resolved.scene, resolved.appearance, part.material
-    shading, lighting = look.shading, look.lighting
+    material, shading, lighting = part.material, look.shading, look.lighting
     features = surface_features(part, shading) + shadow_features(lighting)
-    features += ("AMBIENT",) * any(scene.ambient)  # type: ignore[arg-type]
+    features += ("AMBIENT",) * any(look.ambient)  # type: ignore[arg-type]
     features += ("DIFFUSE",) * (only != "specular" and material.diffuse_weight > 0.0)
     if shading.diffuse == "coupled" and "DIFFUSE" in features and material.ks > 0.0:
         features += ("COUPLED",)
     features += ("EMISSIVE",) * (only is None and any(material.emissive))
     second = material.second_slope if material.two_lobes else None
     environment = ""
-    if scene.environment is not None:
+    if look.environment is not None:
         features += ("ENVIRONMENT",)
         if shading.environment_samples and material.ks > 0.0 and only != "diffuse":
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)
-    program = Program(
-        "shade.frag", features=features, lights=lighting.groups, environment=environment
-    )
-    if term is None or not material.ks:
-        return program
-    head = prelude(term, smallest_m, material.two_lobes)
-    return replace(program, prelude=head, call=call(term, second))
+    head = expression = ""
+    if term is not None and material.ks:
+        head, expression = prelude(term, smallest_m, material.two_lobes), call(term, second)
+    lights = lighting.groups
+    return Program("shade.frag", "surface.vert", features, lights, head, expression, environment)
 
 
 def shadow_features(lighting: Lighting) -> tuple[str, ...]:
@@ -174,25 +166,21 @@ def shadow_features(lighting: Lighting) -> tuple[str, ...]:
     return (f"SHADOWS {len(shadowed)}", *discs, *points)
 
 
-def scene_uniforms(resolved: ResolvedScene, view: View, lights: bool = True) -> Uniforms:
-    """Return the uniforms that all parts of a scene share.
-
-    lights : whether to include the uniforms of the lights and the environment
-    """
-    scene = resolved.scene
-    uniforms: dict[str, Any] = {
-        "view_projection": view.matrix,
-        "camera_position": view.position,
-        "ambient": np.asarray(scene.ambient),
-    }
-    if not lights:
-        return uniforms
-    if environment := scene.environment:
+def light_uniforms(look: Appearance) -> Uniforms:
+    """Return the uniforms of the lights, the ambient light and the environment."""
+    uniforms: dict[str, Any] = {"ambient": np.asarray(look.ambient)}
+    lights = look.lighting.lights
+    for kind in dict.fromkeys(light.kind for light in lights):
+        uniforms |= kind.uniforms([light for light in lights if light.kind is kind], look.space)
+    if spaces := look.light_spaces:
+        uniforms["shadow_view"] = np.array([space.matrix for space in spaces])
+        uniforms["shadow_size"] = np.array([(s.tan_radius, s.top, s.scale) for s in spaces])
+    if environment := look.environment:
         uniforms["environment_sh"] = environment.panorama.coefficients
         uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
         uniforms["environment_scale"] = environment.scale
         uniforms["environment_size"] = len(environment.panorama.map) - 2
-    return uniforms | resolved.appearance.light_uniforms
+    return uniforms
 
 
 def part_uniforms(resolved: ResolvedPart) -> Uniforms:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import resolve, simplify
 from facerender.material import Material
+from facerender.mesh.part import Space
 from facerender.scene.light import Light, half_sum
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
@@ -33,20 +34,17 @@ class Layers:
     ambient, diffuse : (H, W, 3) float64, radiance of each of these terms
     specular : (lights, H, W, 3) float64, specular radiance from each light
     environment : (H, W, 3) float64, diffuse and specular radiance from the environment map
+    scattering : (2, H, W, 3) float64, summed irradiance of diffuse and ambient terms, and diffuse
+        BRDF: diffuse radiance divided by this irradiance; None if no material scatters
     emission : (H, W, 3) float32, emitted radiance; None if no material emits light
-    light : (H, W, 3) float64, summed irradiance of diffuse and ambient terms; None if no material
-        scatters
-    albedo : (H, W, 3) float64, diffuse BRDF: diffuse radiance divided by ``light``; None if no
-        material scatters
     """
 
     ambient: Float
     diffuse: Float
     specular: Float
     environment: Float
-    light: Float | None = None
-    albedo: Float | None = None
-    emission: NDArray[np.float32] | None = None
+    scattering: Float | None
+    emission: NDArray[np.float32] | None
 
     def sum(self, shading: Shading) -> NDArray[np.float64]:
         """Return the image (H, W, 3). The ambient term and the specular term of each light are
@@ -95,13 +93,13 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
     terms : the result of :func:`layers` for this G-buffer
     """
     change = np.zeros(gbuffer.normalised_position.shape)
-    if terms.light is None or terms.albedo is None or gbuffer.facing is None:
+    if terms.scattering is None or gbuffer.facing is None:
         return change
     from facerender.scene.scattering import scattering_of
     from facerender.terms.transport import scatter, scatter_area
 
-    size = gbuffer.part.shape[1], gbuffer.part.shape[0]
-    if (scattering := scattering_of(simplify(scene, shading), size)) is None:
+    (received, albedo), size = terms.scattering, gbuffer.part.shape[::-1]
+    if (scattering := scattering_of(simplify(scene, shading), gbuffer.view, size)) is None:
         return change
     number = np.array([*scattering.numbers, 0])[gbuffer.part]
     place, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
@@ -110,85 +108,91 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
         depth = (place[pixels] - gbuffer.view.position) @ gbuffer.view.forward
         scale = scattering.pixels / (depth * scattering.millimetres)
         light = scatter(
-            terms.light, place, number, area, pixels,
+            received, place, number, area, pixels,
             scale=scale, unit=scattering.millimetres, gaussians=gaussians,
             samples=shading.scatter_samples,
         )  # fmt: skip
-        change[pixels] = terms.albedo[pixels] * (light - terms.light[pixels])
+        change[pixels] = albedo[pixels] * (light - received[pixels])
     return change
 
 
-@dataclass(frozen=True, eq=False)
 class _Pixels:
-    """The N pixels of a G-buffer that a part covers.
+    """The N pixels of a G-buffer that a part covers, in float64.
 
+    term : term of the shading; a constant m of this term replaces the m of the G-buffer
     position : (N, 3) in the renderer's space
-    n : (N, 3) unit normal
-    v : (N, 3) unit vector to the camera
+    n, v : (N, 3) unit normal, and unit vector to the camera
     lobes : m (N,) of each lobe, and its fraction of the specular weight: 1 or (N,)
-    weight : (N,) specular weight
-    occlusion : (N,) ambient occlusion
+    weight, occlusion : (N,) specular weight, and (N, 1) ambient occlusion
     albedo : (N, 3) diffuse BRDF, the ratio of diffuse radiance to irradiance
     """
 
-    position: Float
-    n: Float
-    v: Float
-    lobes: list[tuple[Float, Float | float]]
-    weight: Float
-    occlusion: Float
-    albedo: Float
+    def __init__(self, gbuffer: GBuffer, index: int, material: Material, term: Term) -> None:
+        self.index, self.material, self.covered = index, material, gbuffer.part == index
 
-    @classmethod
-    def of(
-        cls, gbuffer: GBuffer, covered: NDArray[np.bool_], material: Material, term: Term
-    ) -> _Pixels:
-        """Return the pixels of a part.
+        def values(image: NDArray[np.float32] | None) -> Float:
+            assert image is not None
+            return np.asarray(image[self.covered], dtype=np.float64)
 
-        covered : (H, W), true at the pixels of the part
-        term : term of the shading; a constant m of this term replaces the m of the G-buffer
-        """
-
-        def values(image: NDArray[np.float32]) -> Float:
-            return image[covered].astype(np.float64)
-
-        position, m = values(gbuffer.normalised_position), values(gbuffer.m)
-        m = np.broadcast_to(term.slope(m), m.shape)
-        lobes: list[tuple[Float, Float | float]] = [(m, 1.0)]
+        self.position, self.n = values(gbuffer.normalised_position), values(gbuffer.normal)
+        self.v = unit(gbuffer.view.position - self.position)
+        self.weight = values(gbuffer.specular_weight)
+        self.occlusion = values(gbuffer.occlusion)[:, None]
+        self.albedo = material.diffuse_weight / np.pi * values(gbuffer.albedo)
+        m = np.broadcast_to(term.slope(values(gbuffer.m)), self.weight.shape)
+        self.lobes: list[tuple[Float, Float | float]] = [(m, 1.0)]
         if material.two_lobes:
-            assert gbuffer.second_m is not None
-            assert gbuffer.lobe_weight is not None
             second = term.second(material.second_slope).slope(values(gbuffer.second_m))
             fraction = values(gbuffer.lobe_weight)
-            lobes = [(m, fraction), (np.broadcast_to(second, m.shape), 1.0 - fraction)]
-        return cls(
-            position,
-            values(gbuffer.normal),
-            unit(gbuffer.view.position - position),
-            lobes,
-            values(gbuffer.specular_weight),
-            values(gbuffer.occlusion),
-            material.diffuse_weight / np.pi * values(gbuffer.albedo),
-        )
+            self.lobes = [(m, fraction), (np.broadcast_to(second, m.shape), 1.0 - fraction)]
 
-    def coupling(
-        self, material: Material, shading: Shading
-    ) -> Callable[[Float | None], Float | float]:
+    def coupling(self, shading: Shading) -> Callable[[Float | None], Float | float]:
         """Return the function that computes the factor (N, 1) of the diffuse term for a light, or
         1, from the cosine (N,) between light and normal, or from None for light from all sides."""
-        if shading.diffuse != "coupled" or material.ks <= 0.0:
+        f0 = self.material.f0
+        if shading.diffuse != "coupled" or self.material.ks <= 0.0:
             return lambda cosine: 1.0
         lobes = [(m, fraction * self.weight) for m, fraction in self.lobes]
 
         def albedo(cosine: Float) -> Float:
-            albedos = [w * cook_torrance_albedo(cosine, m, material.f0) for m, w in lobes]
-            return np.asarray(np.sum(albedos, axis=0))
+            return np.asarray(sum(w * cook_torrance_albedo(cosine, m, f0) for m, w in lobes))
 
         camera = albedo(dot(self.n, self.v))
-        mean = np.sum([w * cook_torrance_albedo_mean(m, material.f0) for m, w in lobes], axis=0)
+        mean = sum(w * cook_torrance_albedo_mean(m, f0) for m, w in lobes)
         return lambda cosine: diffuse_coupled(
             mean if cosine is None else albedo(cosine), camera, mean
         )[:, None]
+
+    def lit(
+        self, light: Light, term: Term, space: Space, visible: Float | float
+    ) -> tuple[Float, Float, Float]:
+        """Return three arrays (N, 3): the direction to a light, the irradiance of the diffuse term,
+        and the specular radiance.
+
+        visible : (N, 1) visible fraction of the light, or 1
+        """
+        n, v, material = self.n, self.v, self.material
+        l, irradiance = light.kind.lighting(light, space, self.position)
+        irradiance = irradiance * visible
+        cosine = dot(n, l)
+        received = irradiance * np.maximum(cosine, 0.0)[:, None]
+        spread, variance = received, np.zeros(len(n))
+        if light.kind.sine is not None:
+            s = light.kind.sine(light, space, self.position)[..., 0]
+            k = half_sum(s)
+            spread = irradiance * cosine_disc(cosine, s, k)[:, None]
+            variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
+        brdf, terms = np.zeros(len(n)), (term, term.second(material.second_slope))
+        for (m, fraction), lobe in zip(self.lobes, terms, strict=False):
+            brdf += fraction * lobe.brdf(n, l, v, slope_filtered(m, variance), material.f0)
+        return l, spread, received * (self.weight * brdf)[:, None]
+
+
+def _parts(gbuffer: GBuffer, scene: Scene, term: Term) -> Iterator[_Pixels]:
+    """Yield the pixels of each part that is visible."""
+    for index, material in enumerate(scene.mesh.materials):
+        if (gbuffer.part == index).any():
+            yield _Pixels(gbuffer, index, material, term)
 
 
 def layers(
@@ -201,62 +205,26 @@ def layers(
     if environment is None:
         environment = environment_layer(gbuffer, scene, shading)
     resolved = resolve(scene, shading)
-    scene = resolved.scene
-    ambient, diffuse = np.zeros((2, *gbuffer.normalised_position.shape))
-    specular = np.zeros((len(scene.lights), *gbuffer.normalised_position.shape))
+    scene, terms = resolved.scene, resolved.appearance.terms
+    shape = gbuffer.normalised_position.shape
+    ambient, diffuse = np.zeros((2, *shape))
+    specular = np.zeros((len(scene.lights), *shape))
     scatters = any(material.scattering for material in scene.mesh.materials)
-    light_of, albedo_of = np.zeros((2, *ambient.shape)) if scatters else (None, None)
-    for index, material in enumerate(scene.mesh.materials):
-        covered = gbuffer.part == index
-        if not covered.any():
-            continue
-        pixels = _Pixels.of(gbuffer, covered, material, shading.term)
-        coupling = pixels.coupling(material, shading)
-        entered = pixels.occlusion[:, None] * np.asarray(scene.ambient) * coupling(None)
+    scattering = np.zeros((2, *shape)) if scatters else None
+    for pixels in _parts(gbuffer, scene, shading.term):
+        covered, coupling = pixels.covered, pixels.coupling(shading)
+        entered = pixels.occlusion * np.asarray(scene.ambient) * coupling(None)
         ambient[covered] = pixels.albedo * entered
-        for light, source in enumerate(scene.lights):
-            visible = gbuffer.visibility[covered][:, light, None] if source.shadow else None
-            l, spread, specular[light][covered] = _lit(
-                pixels, material, resolved.appearance.terms[index], source, scene, visible
-            )
+        for index, light in enumerate(scene.lights):
+            visible = gbuffer.visibility[covered][:, index, None] if light.shadow else 1.0
+            lit = pixels.lit(light, terms[pixels.index], scene.mesh.space, visible)
+            l, spread, specular[index][covered] = lit
             factor = coupling(dot(pixels.n, l))
             diffuse[covered] += pixels.albedo * spread * factor
             entered = entered + spread * factor
-        if light_of is not None and albedo_of is not None:
-            light_of[covered], albedo_of[covered] = entered, pixels.albedo
-    return Layers(ambient, diffuse, specular, environment, light_of, albedo_of, gbuffer.emission)
-
-
-def _lit(
-    pixels: _Pixels,
-    material: Material,
-    term: Term,
-    source: Light,
-    scene: Scene,
-    visible: NDArray[np.float32] | None,
-) -> tuple[Float, Float, Float]:
-    """Return three arrays (N, 3): the direction to a light, the irradiance of the diffuse term, and
-    the specular radiance.
-
-    visible : (N, 1) visible fraction of the light; None for lights without shadows
-    """
-    n, v = pixels.n, pixels.v
-    l, irradiance = source.kind.lighting(source, scene.mesh.space, pixels.position)
-    if visible is not None:
-        irradiance = irradiance * visible
-    cosine = dot(n, l)
-    received = irradiance * np.maximum(cosine, 0.0)[:, None]
-    spread, variance = received, np.zeros(len(n))
-    if source.kind.sine is not None:
-        s = source.kind.sine(source, scene.mesh.space, pixels.position)[..., 0]
-        k = half_sum(s)
-        spread = irradiance * cosine_disc(cosine, s, k)[:, None]
-        variance = slope_variance_disc(s, k, 0.5 * np.linalg.norm(l + v, axis=-1))
-    brdf = np.zeros(len(n))
-    lobe_terms = [term, *(term.second(material.second_slope) for _ in pixels.lobes[1:])]
-    for (m, fraction), lobe in zip(pixels.lobes, lobe_terms, strict=True):
-        brdf += fraction * lobe.brdf(n, l, v, slope_filtered(m, variance), material.f0)
-    return l, spread, received * (pixels.weight * brdf)[:, None]
+        if scattering is not None:
+            scattering[:, covered] = entered, pixels.albedo
+    return Layers(ambient, diffuse, specular, environment, scattering, gbuffer.emission)
 
 
 def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArray[np.float64]:
@@ -272,20 +240,14 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     from facerender.terms.environment import environment_irradiance, reflected
 
     panorama, turn = scene.environment.panorama, scene.environment.turn
-    samples = shading.environment_samples
-    for index, material in enumerate(scene.mesh.materials):
-        covered = gbuffer.part == index
-        if not covered.any():
-            continue
-        pixels = _Pixels.of(gbuffer, covered, material, shading.term)
-        n, v = pixels.n @ turn.T, pixels.v @ turn.T
+    samples, term = shading.environment_samples, replace(shading.term, lobe="exact", m=None)
+    for pixels in _parts(gbuffer, scene, shading.term):
+        n, v, material = pixels.n @ turn.T, pixels.v @ turn.T, pixels.material
         irradiance = environment_irradiance(panorama.coefficients, n)
-        total = pixels.albedo * pixels.occlusion[:, None] * irradiance
-        total *= pixels.coupling(material, shading)(None)
-        term = replace(shading.term, lobe="exact", m=None)
+        total = pixels.albedo * pixels.occlusion * irradiance * pixels.coupling(shading)(None)
         brdf = partial(term.brdf, f0=material.f0)
         for m, fraction in pixels.lobes * bool(samples and material.ks > 0.0):
             reflection = reflected(panorama.map, len(panorama.map) - 2, n, v, m, brdf, samples)
             total += (fraction * pixels.weight)[:, None] * reflection
-        image[covered] = scene.environment.scale * total
+        image[pixels.covered] = scene.environment.scale * total
     return image

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import moderngl
@@ -14,31 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
+from facerender.drawing.compiled import CompiledFrame, sized
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.frame import (
     Frame,
     GBuffer,
+    LazyMetadata,
     check_image,
     data_view,
     in_order,
-    mesh_metadata,
     scene_metadata,
     shading_metadata,
 )
-from facerender.drawing.motion import check_before, motion_vectors, pixel_centres, triangle_pass
-from facerender.drawing.passes import (
-    BlendedPart,
-    Pass,
-    Target,
-    Visibility,
-    blended_area,
-    blended_parts,
+from facerender.drawing.frame_passes import (
+    Layer,
+    Structure,
     can_defer,
-    deferred,
     deferred_is_cheaper,
-    with_blended,
+    fraction_passes,
+    image_passes,
+    surface_images,
+    surface_passes,
+    triangle_pass,
 )
+from facerender.drawing.motion import check_before, motion_vectors, pixel_centres
+from facerender.drawing.passes import Pass, Target
 from facerender.drawing.prepare import (
+    Appearance,
     ResolvedScene,
     appearance_of,
     check_memory,
@@ -47,16 +50,8 @@ from facerender.drawing.prepare import (
     resolved_parts,
     start_maps,
 )
-from facerender.drawing.program import ENVIRONMENT_MAP
 from facerender.drawing.resources import Resources, free, free_dropped, read
-from facerender.drawing.shade import (
-    light_visibility_pass,
-    scatter_pass,
-    shade_pass,
-    surface_images,
-    surface_pass,
-    with_shadows,
-)
+from facerender.drawing.shadows import shadow_texels
 from facerender.errors import ContextError, check_switch, check_type, clipped
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
@@ -86,9 +81,9 @@ from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
     from facerender.drawing.lens import Lens
-    from facerender.drawing.refraction import Refraction
 
 _LIMITS = ranges_of(ImageSettings)
+_MOST_FRAMES = 8  # compiled frames of an appearance
 
 
 class Renderer:
@@ -151,11 +146,10 @@ class Renderer:
         self.alpha_threshold = alpha_threshold
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
         self._checked: tuple[object, int] | None = None  # appearance and samples that fit in memory
-        # A renderer of another size, for undistorted images, and the other sizes with targets.
+        # A renderer of another size, for undistorted images.
         self._resized: Renderer | None = None
-        self._sizes: set[tuple[int, int]] = set()
         self.context = create_context(backend)
-        self._resources = Resources(self.context, self.size, anisotropy)
+        self._resources = Resources(self.context, anisotropy)
         self._free = weakref.finalize(self, free_dropped, self._resources)
         self._free.atexit = False
         try:
@@ -188,7 +182,7 @@ class Renderer:
 
         Further calls have no effect, nor do calls in a process forked from the renderer's process.
         """
-        if self.context.released or self.context.inherited:
+        if self.context.closed:
             return
         free(self._resources)
         self._free.detach()
@@ -198,7 +192,7 @@ class Renderer:
         driver = clipped(self.context.renderer, 60)
         return f"<Renderer {width} x {height}, samples {self.samples}, {driver}>"
 
-    @property
+    @cached_property
     def metadata(self) -> dict[str, str]:
         """Version, driver and settings. Frames add the scene and the shading to this metadata."""
         return {
@@ -248,20 +242,26 @@ class Renderer:
         _check_scene(scene, shading)
         check_shading_rate("shading_rate", shading_rate)
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
-        samples = self.samples if samples is None else samples
         check_only(only)
+        samples = self.samples if samples is None else _LIMITS["samples"].check("samples", samples)
         if only in DATA:
             return self._data_frame(scene, shading, only)
-        _LIMITS["samples"].check("samples", samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples, shading):
             shading_rate = "sample"
         linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
         check_image(linear, scene)
         emit_all(resolved.scene.mesh)
-        metadata = self._metadata(scene, shading) | shading_metadata(resolved, only)
-        metadata |= self.metadata | {"samples": str(samples)}
-        metadata |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        metadata |= {"only": only} if only else {}
+        own = self.metadata | {"samples": str(samples)}
+        own |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
+        own |= {"only": only} if only else {}
+        kind, look = self.albedo_kind, resolved.appearance
+        metadata = LazyMetadata(
+            lambda: {
+                **scene_metadata(scene, appearance_of(scene, shading, kind)),
+                **shading_metadata(look, only),
+                **own,
+            }
+        )
         return Frame(linear, only, scene.background is None, metadata)
 
     def _radiance(
@@ -300,17 +300,12 @@ class Renderer:
 
     def data_metadata(self, scene: Scene, shading: Shading, only: Only) -> dict[str, str]:
         """Return the metadata of a data image."""
-        metadata = self._metadata(scene, shading) | self.metadata
+        look = appearance_of(scene, shading, self.albedo_kind)
+        metadata = scene_metadata(scene, look) | self.metadata
         metadata |= {"samples": "1", "only": only, "alpha_threshold": str(self.alpha_threshold)}
         if only == "parts":
             metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
         return metadata
-
-    def _metadata(self, scene: Scene, shading: Shading) -> dict[str, str]:
-        """Return the scene as text. Most frames have the mesh of the frame before."""
-        mesh, look = scene.mesh, appearance_of(scene, shading, self.albedo_kind)
-        texts: dict[str, str] = look.draws.of("mesh", mesh.token, lambda: mesh_metadata(mesh))
-        return texts | scene_metadata(scene, look.parts)
 
     def _resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:
         return resolve(scene, shading, self.albedo_kind)
@@ -324,11 +319,11 @@ class Renderer:
             renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
         resolved = renderer._cut(renderer._resolved(flat, shading, view, 1))
-        render_pass = triangle_pass(resolved, view)
-        (triangles,) = renderer._draw([render_pass], resolved.scene)
+        make = lambda: [triangle_pass(resolved.appearance)]  # noqa: E731
+        (triangles,) = renderer._draw("triangles", resolved, None, make, view)
         triangles = lens.nearest_values(triangles) if lens else triangles
         rays = 2.0 * (lens.places if lens else pixel_centres(self.size)) / renderer.size - 1.0
-        return motion_vectors(scene, before, views, render_pass.draws, triangles, view, rays)
+        return motion_vectors(scene, before, views, resolved, triangles, view, rays)
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks
@@ -362,7 +357,8 @@ class Renderer:
         """
         _check_scene(scene, shading)
         _LIMITS["samples"].check("samples", samples)
-        return samples > 1 and self._can_defer(self._resolve(scene, shading), samples)
+        look = self._resolve(scene, shading).appearance
+        return samples > 1 and self._can_defer(look, scene.background, samples)
 
     def gbuffer(
         self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
@@ -389,8 +385,8 @@ class Renderer:
         with self._layer_lock:
             layers = [
                 layer
-                for blended_part in (blended_parts(resolved, view) if blended else ())
-                for layer in self._layers(resolved, view, blended_part)
+                for part in (_far_first(resolved, view) if blended else ())
+                for layer in self._layers(resolved, view, part)
             ]
         gbuffer, _ = self._gbuffer(resolved, view, casting=original)
         return replace(gbuffer, transparent_layers=tuple(layers))
@@ -408,15 +404,12 @@ class Renderer:
         cut = replace(resolved.scene, mesh=replace(mesh, materials=tuple(new)))
         return self._resolve(cut, resolved.appearance.shading)
 
-    def _layers(
-        self, resolved: ResolvedScene, view: View, blended_part: BlendedPart
-    ) -> list[GBuffer]:
+    def _layers(self, resolved: ResolvedScene, view: View, part: int) -> list[GBuffer]:
         """Return all layers of a blended part by depth peeling, in drawing order at each pixel."""
         layers: list[GBuffer] = []
         numbers: list[NDArray[np.float32]] = []
         while True:
-            part = replace(blended_part, layer=len(layers))
-            layer, number = self._gbuffer(resolved, view, part)
+            layer, number = self._gbuffer(resolved, view, Layer(part, len(layers)))
             if not (layer.part >= 0).any():
                 return in_order(layers, np.array(numbers))
             layers.append(layer)
@@ -426,7 +419,7 @@ class Renderer:
         self,
         resolved: ResolvedScene,
         view: View,
-        blended_part: BlendedPart | None = None,
+        layer: Layer | None = None,
         casting: ResolvedScene | None = None,
     ) -> tuple[GBuffer, NDArray[np.float32]]:
         """Return the G-buffer of all parts that are not blended, or of one layer of a blended part;
@@ -434,31 +427,28 @@ class Renderer:
 
         casting : scene whose parts cast the shadows; default: the resolved scene
         """
-        scene, lighting = resolved.scene, resolved.appearance.lighting
-        visibility = None if blended_part else self._visibility(resolved, view, 1)
-        scatters = not blended_part and scattering_of(scene, self.size) is not None
-        refraction = _refraction(resolved, view, self.size)
-        surface = surface_pass(resolved, view, scatters, blended_part, refraction)
-        passes = deferred(visibility, surface)
-        if refraction:
-            passes = [*refraction.passes(resolved), *passes]
-            passes = with_shadows(resolved, view, self.size, passes)
-        textures: dict[str, moderngl.Texture] = {}
-        if blended_part and blended_part.layer:
-            prior_target = self._sized(replace(surface.target, number=1 - surface.target.number))
-            attachments = self._resources.targets[prior_target].color_attachments
-            textures["previous_layer"] = attachments[-1]  # type: ignore[assignment]
-        names = surface_images(scene, blended_part is not None)
-        images = dict(zip(names, self._draw(passes, scene, textures), strict=True))
+        scene, look = resolved.scene, resolved.appearance
+        of = self._structure(resolved, view, 1, scatters=layer is None)
+        of = replace(of, defers=lambda samples: False) if layer else of
+        inputs: dict[str, moderngl.Texture] = {}
+        names = surface_images(scene, layer is not None)
+        if layer and layer.index:
+            previous = Target(len(names), sampled=True, number=1 - layer.index % 2)
+            framebuffer = self._resources.targets[sized(previous, self.size)].framebuffer
+            inputs["previous_layer"] = framebuffer.color_attachments[-1]  # type: ignore[assignment]
+        make = partial(surface_passes, of, names, layer)
+        surfaces = self._draw("surface", resolved, of.key, make, view, inputs)
+        images = dict(zip(names, surfaces, strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        if number := len(lighting.shadowed):
-            passes = deferred(visibility, light_visibility_pass(resolved, view, blended_part))
-            passes = with_shadows(casting or resolved, view, self.size, passes)
-            fractions = self._draw(passes, scene, textures)
-            visibilities[..., lighting.shadowed] = np.concatenate(fractions, axis=-1)[..., :number]
-        material = scene.mesh.materials[blended_part.part] if blended_part else None
+        if number := len(look.lighting.shadowed):
+            cast = (casting or resolved).appearance
+            make = partial(fraction_passes, of, layer, cast)
+            fractions = self._draw("fractions", resolved, (of.key, cast.token), make, view, inputs)
+            all_fractions = np.concatenate(fractions, axis=-1)[..., :number]
+            visibilities[..., look.lighting.shadowed] = all_fractions
+        material = scene.mesh.materials[layer.part] if layer else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
             normalised_position=position[..., :3],
@@ -473,9 +463,9 @@ class Renderer:
             space=(*scene.mesh.center.tolist(), scene.mesh.radius),
             second_m=None if lobes is None else lobes[..., 0],
             lobe_weight=None if lobes is None else lobes[..., 1],
-            facing=uv[..., 3] if scatters else None,
+            facing=uv[..., 3] if of.scattering else None,
             emission=None if emitted is None else emitted[..., :3],
-            opacity=uv[..., 3] if blended_part else None,
+            opacity=uv[..., 3] if layer else None,
             transmission=material.transmission if material and material.thin else 0.0,
         )
         return gbuffer, np.empty((0, 0), np.float32) if order is None else order[..., 1]
@@ -504,54 +494,50 @@ class Renderer:
         shading_rate: ShadingRate = "sample",
     ) -> NDArray[np.float32]:
         """Draw an image of a view; `samples` must not exceed the driver's limit."""
-        scene = resolved.scene
-        visibility = self._visibility(resolved, view, samples, shading_rate)
-        scattering = None if only == "specular" else scattering_of(scene, self.size)
-        refraction = None if only else _refraction(resolved, view, self.size)
-        # One sample: the shading pass also draws the inputs of scattering. Several samples may show
-        # different points: another pass draws the inputs at the pixels' centres.
-        inputs = scattering if samples == 1 else None
-        forward = shade_pass(resolved, view, samples, only, inputs, refraction=refraction)
-        passes = deferred(visibility, forward)
-        if scattering:
-            background = scene.background if inputs and only is None else None
-            mesh_area = visibility.area if inputs and visibility else None
-            if not inputs:
-                image = passes.pop()
-                draws = tuple(draw for draw in image.draws if draw.depth != "blend")
-                target = replace(image.target, sampled=True)
-                passes.append(replace(image, name="image", target=target, draws=draws))
-                light = shade_pass(resolved, view, 1, "diffuse", scattering, apart=True)
-                passes += deferred(self._visibility(resolved, view, 1), light)
-            count = resolved.appearance.shading.scatter_samples
-            passes.append(scatter_pass(view, scattering, count, background, samples > 1, mesh_area))
-        blended = blended_area(resolved, view, self.size)
-        if (scattering or visibility) and not blended.empty:
-            if inputs:
-                forward = shade_pass(resolved, view, samples, only, refraction=refraction)
-            visible = visibility.target if visibility else None
-            passes += with_blended(forward, passes.pop(), blended, visible)
-        if refraction:
-            passes = [*refraction.passes(resolved), *passes]
-        return self._draw(with_shadows(resolved, view, self.size, passes), scene)[0]
+        shows = only is None, only != "specular"
+        of = self._structure(resolved, view, samples, *shows, shading_rate)
+        make = partial(image_passes, of, only)
+        return self._draw(f"image {only}", resolved, of.key, make, view)[0]
 
-    def _visibility(
-        self, resolved: ResolvedScene, view: View, samples: int, rate: ShadingRate = "sample"
-    ) -> Visibility | None:
-        """Return the visible triangles for deferred shading, which draws per pixel and where it is
-        cheaper, or None for forward shading."""
-        driver = self.context.renderer
-        if self._can_defer(resolved, samples) and (
-            rate == "pixel" or deferred_is_cheaper(resolved.scene, self.size, samples, driver)
-        ):
-            return Visibility.of(resolved, view, self.size, samples, rate)
-        return None
+    def _structure(
+        self,
+        resolved: ResolvedScene,
+        view: View,
+        samples: int,
+        refracts: bool = True,
+        scatters: bool = True,
+        rate: ShadingRate = "sample",
+    ) -> Structure:
+        """Return what the passes of a frame depend on, for :func:`image_passes` and others."""
+        scene, look, mesh = resolved.scene, resolved.appearance, resolved.scene.mesh
+        background = scene.background or (0.0, 0.0, 0.0)
+        refraction = None
+        if refracts and look.refracts:
+            from facerender.drawing.refraction import Refraction  # only if a scene needs it
 
-    def _can_defer(self, resolved: ResolvedScene, samples: int) -> bool:
+            refraction = Refraction(look, mesh, view, self.size, background)
+        defers = partial(self._defers, look, background, rate)
+        texels = shadow_texels(look, view, self.size)
+        scattering = scattering_of(scene, view, self.size) if scatters and look.scatters else None
+        return Structure(
+            look, mesh, background, samples, defers, rate, texels, refraction, scattering
+        )
+
+    def _defers(
+        self, look: Appearance, background: Vector, rate: ShadingRate, samples: int
+    ) -> bool:
+        """Return whether to draw only visible triangles: if asked for the rate "pixel", and where
+        it is cheaper."""
+        driver, parts = self.context.renderer, [part.part for part in look.parts]
+        return self._can_defer(look, background, samples) and (
+            rate == "pixel" or deferred_is_cheaper(parts, self.size, samples, driver)
+        )
+
+    def _can_defer(self, look: Appearance, background: Vector | None, samples: int) -> bool:
         """Return whether driver and scene support deferred shading. With other numbers of samples
         than 1 or its maximum, a driver may use more than requested without reporting how many."""
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        return samples in (1, self.context.most_samples) and can_defer(resolved, rows)
+        return samples in (1, self.context.most_samples) and can_defer(look, background, rows)
 
     def _of_size(self, size: tuple[int, int]) -> Renderer:
         """Return a renderer of another size with the same context, geometry, maps and programs. The
@@ -564,58 +550,54 @@ class Renderer:
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources
-                for target in [key for key in resources.targets if key.size in self._sizes]:
-                    for cache in (resources.targets, resources.scopes, resources.images_held):
-                        cache.pop(target, None)
+                old = [t for t in resources.targets if resized and t.size == resized.size]
+                for target in old:
+                    del resources.targets[target]
+                resources.frames.clear()
                 gl.gc()
-                self._sizes.clear()
             self._resized = resized
         return resized
-
-    def _sized(self, target: Target) -> Target:
-        """Return a target with an explicit size, unless it has the size of the resources."""
-        if self.size == self._resources.size:
-            return target
-        self._sizes.add(self.size)
-        below = target.depth_of and self._sized(target.depth_of)
-        return replace(target, size=target.size or self.size, depth_of=below)
 
     # --- OpenGL ----------------------------------------------------------------------------------
 
     def _draw(
-        self, passes: list[Pass], scene: Scene, inputs: Mapping[str, moderngl.Texture] = {}
+        self,
+        name: str,
+        resolved: ResolvedScene,
+        key: Hashable,
+        make: Callable[[], list[Pass]],
+        view: View,
+        inputs: Mapping[str, moderngl.Texture] | None = None,
     ) -> list[NDArray[np.float32]]:
-        """Draw passes in order, and return the images of the last pass. They may read ``inputs``,
-        further textures by uniform name."""
-        textures = dict(inputs)
-        with self.context.drawing() as gl:
+        """Draw a frame, which is compiled on first use, and return the images of its last pass.
+
+        name, key : value that is equal for frames of one appearance and size with equal passes
+        make : returns these passes
+        inputs : further textures that passes read, by uniform name, of a frame that is not cached
+        """
+        scene = resolved.scene
+        panorama = scene.environment.panorama if scene.environment else None
+        with self.context.drawing():
             self._resources.settle()
-            if scene.environment is not None:
-                textures[ENVIRONMENT_MAP] = self._resources.panorama(scene.environment.panorama)
-            for step in passes:
-                if (sized := self._sized(step.target)) is not step.target:
-                    step = replace(step, target=sized)
-                target = self._resources.draw(step, scene.mesh, textures)
-                if sized.samples > 1 and sized.values == "color" and sized.resolved:
-                    single = self._resources.target(replace(sized, samples=1))
-                    gl.copy_framebuffer(single, target)
-                    target = single
-                if sized.sampled:
-                    names = (step.name, *step.others)
-                    textures |= zip(names, target.color_attachments, strict=False)  # type: ignore[arg-type]
-            return [read(target, index) for index in range(sized.colors)]
+            frames = self._resources.frames.setdefault(resolved.appearance, {})
+            place = self.size, name, key
+            frame = None if inputs is not None else frames.pop(place, None)
+            if frame is None:
+                frame = CompiledFrame(self._resources, make(), self.size, panorama, inputs or {})
+            if inputs is None:
+                frames[place] = frame
+                if len(frames) > _MOST_FRAMES:
+                    del frames[next(iter(frames))]
+            target = frame.draw(view, scene.mesh)
+            return [read(target, index) for index in range(len(target.color_attachments))]
 
 
-# The next two functions import their modules only if a scene needs them.
-
-
-def _refraction(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> Refraction | None:
-    """Return the refraction of a scene, or None."""
-    if not any(material.refracts for material in resolved.appearance.materials):
-        return None
-    from facerender.drawing.refraction import Refraction
-
-    return Refraction.of(resolved, view, size)
+def _far_first(resolved: ResolvedScene, view: View) -> list[int]:
+    """Return the indices of the blended parts in drawing order. The part whose nearest vertex has
+    the largest depth comes first."""
+    setups = resolved.scene.mesh.setups
+    parts = [part.index for part in resolved.appearance.blended]
+    return sorted(parts, key=lambda i: -float((setups[i].positions @ view.forward).min()))
 
 
 def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:

@@ -1,5 +1,4 @@
-"""The cache of GPU objects (programs, framebuffers, geometry, textures), which also draws a pass
-with these objects."""
+"""The cache of GPU objects: programs, framebuffers, geometry and textures."""
 
 from __future__ import annotations
 
@@ -8,6 +7,7 @@ import warnings
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import prod
 from typing import TYPE_CHECKING, Any
 from weakref import WeakKeyDictionary
@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.prepare import ResolvedPart
+from facerender.drawing.passes import Target
+from facerender.drawing.prepare import Appearance, ResolvedPart
 from facerender.drawing.program import (
     IN_ROW,
     Program,
@@ -28,7 +28,6 @@ from facerender.drawing.program import (
     table_texels,
 )
 from facerender.errors import ContextError, InputError
-from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
 from facerender.mesh.setup import Area, TriangleSetup
 from facerender.system.process import give_back, unload
@@ -46,8 +45,9 @@ _TEXTURE_2D = 0x0DE1
 _FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER = 0x8D40, 0x8D00, 0x8D41
 _WRAP_AXES = (0x2802, 0x2803)
 _WRAPS: dict[Wrap, int] = {"repeat": 0x2901, "clamp": 0x812F, "mirror": 0x8370}
-# SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE, for draws with the feature TO_COVERAGE.
-_TO_COVERAGE = (0x809E, 0x809F)
+# SAMPLER_2D, SAMPLER_2D_MULTISAMPLE and INT_SAMPLER_2D.
+_SHARED = "visible", "shadow_map", "shadow_cones", "shadow_tops", "environment_map"
+_SAMPLERS = (0x8B5E, 0x9108, 0x8DCA)
 # Keyed by kind of mip chain: internal format, components, format, type, type name in moderngl.
 _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
     "color": (0x8C43, 4, 0x1908, 0x1401, "f1"),  # SRGB8_ALPHA8, RGBA, UNSIGNED_BYTE
@@ -57,6 +57,34 @@ _FORMATS: dict[Kind, tuple[int, int, int, int, str]] = {
 }
 
 
+@dataclass(frozen=True, eq=False)
+class CompiledProgram:
+    """A program on the GPU.
+
+    uniforms, samplers : uniforms by name that the compiler has not removed
+    """
+
+    program: moderngl.Program
+    uniforms: Mapping[str, Any]
+    samplers: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, program: moderngl.Program) -> CompiledProgram:
+        """Sort the uniforms of a program."""
+        members: dict[str, Any] = {name: program[name] for name in program}
+        uniforms = {n: m for n, m in members.items() if isinstance(m, moderngl.Uniform)}
+        samplers = {n: m for n, m in uniforms.items() if m.gl_type in _SAMPLERS}  # type: ignore[attr-defined]
+        others = {n: m for n, m in uniforms.items() if n not in samplers}
+        # Programs of one pass read these images from equal units, where they stay bound.
+        shared = [name for name in _SHARED if name in samplers]
+        return cls(program, others, {n: samplers[n] for n in dict.fromkeys([*shared, *samplers])})
+
+    @cached_property
+    def screen(self) -> moderngl.VertexArray:
+        """The vertex array that draws one triangle over the target."""
+        return self.program.ctx.vertex_array(self.program, [])
+
+
 @dataclass(eq=False)
 class Uploaded:
     """A part on the GPU, which all its poses share.
@@ -64,21 +92,28 @@ class Uploaded:
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
     fixed : interleaved further vertex attributes, with the widths by name; None if there are none
-    chosen : vertex indices of the triangles that a draw chooses; None before its first use
-    arrays : cache of vertex arrays, keyed by program and whether they read `chosen`
-    table : triangle table of the pose; None before its first use
-    selected : texture of the last chosen triangles; None before its first use
+    arrays : cache of vertex arrays, keyed by program and whether they read chosen triangles
+    chosen : vertex indices of the triangles that :meth:`choose` chose; None before its first use
+    selected, texels : texture of the indices of these triangles, None before its first use; and its
+        content
+    table : triangle table; None before its first use
+    table_setup : vertices of the pose that the table holds; None if it is empty
     """
 
+    gl: moderngl.Context
     setup: TriangleSetup
     moving: moderngl.Buffer
     fixed: moderngl.Buffer | None
     widths: Mapping[str, int]
     indices: moderngl.Buffer
+    arrays: WeakKeyDictionary[CompiledProgram, dict[bool, moderngl.VertexArray]] = field(
+        default_factory=WeakKeyDictionary
+    )
     chosen: moderngl.Buffer | None = None
-    arrays: dict[tuple[moderngl.Program, bool], moderngl.VertexArray] = field(default_factory=dict)
-    table: TriangleTable | None = None
     selected: moderngl.Texture | None = None
+    texels: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    table: TriangleTable | None = None
+    table_setup: TriangleSetup | None = None
 
     @classmethod
     def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Uploaded:
@@ -88,47 +123,67 @@ class Uploaded:
             rows = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
             fixed = gl.buffer(rows)
         widths = {name: column.shape[1] for name, column in columns.items()}
-        return cls(setup, moving, fixed, widths, gl.buffer(setup.faces))
+        return cls(gl, setup, moving, fixed, widths, gl.buffer(setup.faces))
 
-    def draw(
-        self, gl: moderngl.Context, program: moderngl.Program, order: NDArray[np.int64] | None
-    ) -> None:
-        """Draw all triangles with a program, or the triangles of an order; see :class:`Draw`."""
-        if order is None:
-            self.array(gl, program).render()
-            return
+    def move(self, setup: TriangleSetup) -> None:
+        """Upload another pose."""
+        self.moving.write(setup.vertices)
+        self.setup = setup
+
+    def choose(self, order: NDArray[np.int64]) -> int:
+        """Upload the indices of triangles (F,), which arrays of chosen triangles draw. Return their
+        number."""
         if self.chosen is None:
-            self.chosen = gl.buffer(reserve=self.indices.size, dynamic=True)
-        self.chosen.write(np.take(self.setup.faces, order, axis=0))
-        self.array(gl, program, self.chosen).render(vertices=3 * len(order))
+            self.chosen = self.gl.buffer(reserve=self.indices.size, dynamic=True)
+        if not (count := len(order)):
+            return 0
+        self.chosen.write(self.setup.faces.take(order, axis=0))
+        if self.selected is not None:
+            rows = -(-count // IN_ROW)
+            self.texels[:count] = order  # no draw reads those behind
+            self.selected.write(self.texels[: rows * IN_ROW], (0, 0, IN_ROW, rows))
+        return count
+
+    def selection(self) -> moderngl.Texture:
+        """Return the texture of the indices of the chosen triangles."""
+        if self.selected is None:
+            self.texels = np.empty(-(-len(self.setup.faces) // IN_ROW) * IN_ROW, dtype=np.float32)
+            self.selected = _empty(self.gl, len(self.setup.faces), 1, 1)
+        return self.selected
 
     def array(
-        self, gl: moderngl.Context, program: moderngl.Program, chosen: moderngl.Buffer | None = None
+        self, compiled: CompiledProgram, order: NDArray[np.int64] | str | None = None
     ) -> moderngl.VertexArray:
-        """Return the vertex array that a program reads, from the cache."""
-        key = program, chosen is not None
-        if key in self.arrays:
-            return self.arrays[key]
+        """Return the vertex array that a program reads, from the cache, except for a fixed order.
+
+        order : indices of the triangles; a text for the chosen ones; None for all
+        """
+        program, arrays = compiled.program, self.arrays.setdefault(compiled, {})
+        if (chooses := order is not None) in arrays and not isinstance(order, np.ndarray):
+            return arrays[chooses]
         content = []
         moving = {"in_position": 3, "in_normal": 3}
         for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
             if used := [name for name in widths if name in program]:
                 parts = (f"{n}f" if name in used else f"{n}x4" for name, n in widths.items())
                 content.append((buffer, " ".join(parts), *used))
-        self.arrays[key] = gl.vertex_array(program, content, chosen or self.indices)
-        return self.arrays[key]
+        if isinstance(order, np.ndarray):
+            return self.gl.vertex_array(program, content, self.gl.buffer(self.setup.faces[order]))
+        if chooses and self.chosen is None:
+            self.chosen = self.gl.buffer(reserve=self.indices.size, dynamic=True)
+        indices = self.chosen if chooses else self.indices
+        arrays[chooses] = self.gl.vertex_array(program, content, indices)
+        return arrays[chooses]
 
 
 @dataclass(eq=False)
 class TriangleTable:
     """The triangle table of a part, which ``shaders/host/triangle_table.frag`` draws.
 
-    setup : vertices of the pose that the table holds; None for an empty table
     inputs : textures that the shader reads: "vertices", "attributes" and "faces"
     target : framebuffer with the table as its image, IN_ROW triangles in a row
     """
 
-    setup: TriangleSetup | None
     inputs: Mapping[str, moderngl.Texture]
     target: moderngl.Framebuffer
 
@@ -144,7 +199,7 @@ class TriangleTable:
         _fill(inputs["attributes"], attributes)
         _fill(inputs["faces"], np.asarray(part.faces, dtype=np.int32))
         table = _empty(gl, len(part.faces), table_texels(part), 4)
-        return cls(None, inputs, gl.framebuffer([table]))
+        return cls(inputs, gl.framebuffer([table]))
 
 
 def _empty(
@@ -170,48 +225,54 @@ def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
             texture.write(block, (0, first_row, columns * width, rows))
 
 
-class Resources:
-    """Cache of the GPU objects of one context, for frames of one size."""
+@dataclass(eq=False)
+class Canvas:
+    """A target on the GPU.
 
-    def __init__(self, context: Context, size: tuple[int, int], anisotropy: float = 1.0) -> None:
-        self.context, self.size, self.anisotropy = context, size, anisotropy
+    held : what its image shows, if a pass that may be skipped drew it: see ``Pass.key``
+    """
+
+    framebuffer: moderngl.Framebuffer
+    held: Hashable = None
+
+
+class Resources:
+    """Cache of the GPU objects of one context.
+
+    frames : compiled frames of each appearance, by size and structure. The appearance owns them, so
+        that no renderer keeps a mesh alive
+    last_frame : token of the compiled frame whose uniforms the programs hold
+    """
+
+    def __init__(self, context: Context, anisotropy: float = 1.0) -> None:
+        self.context, self.anisotropy = context, anisotropy
         self.parts: WeakKeyDictionary[Part, Uploaded] = WeakKeyDictionary()
         self.panoramas: WeakKeyDictionary[Panorama, moderngl.Texture] = WeakKeyDictionary()
         self.textures: WeakKeyDictionary[Texture, dict[Kind, moderngl.Texture]] = (
             WeakKeyDictionary()
         )
-        self.programs: dict[Program, moderngl.Program] = {}  # least recently used first
-        self._frame_programs: set[Program] = set()  # programs of the last frame
-        self.targets: dict[Target, moderngl.Framebuffer] = {}
-        # moderngl 5.13 does not free a scope completely, so each target reuses one scope.
-        self.scopes: dict[Target, moderngl.Scope] = {}
-        self.images_held: dict[Target, Hashable] = {}  # Pass.key of the image in each target
-        self.screen_arrays: dict[moderngl.Program, moderngl.VertexArray] = {}
+        self.programs: dict[Program, CompiledProgram] = {}  # least recently used first
+        self.targets: dict[Target, Canvas] = {}
+        self.last_frame: object = None
+        self.frames: WeakKeyDictionary[Appearance, dict[Hashable, Any]] = WeakKeyDictionary()
         self._settled = True
 
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
-        textures = self.panoramas, self.textures
-        objects = self.parts, self.programs, self.targets, self.scopes, self.screen_arrays
-        for cache in (*textures, *objects, self.images_held):
+        caches = self.parts, self.panoramas, self.textures, self.programs, self.targets
+        for cache in (*caches, self.frames):
             cache.clear()
+        self.last_frame = None
         self.context.gl.gc()
 
     def settle(self) -> None:
-        """Free dropped objects, and unused programs beyond MOST_PROGRAMS. Return freed memory to
-        the system. The renderer calls this method before each frame.
+        """Free dropped objects. Return freed memory to the system. The renderer calls this method
+        before each frame.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
         head). After a frame that created GPU objects, this memory is released, and so are the
         pages of mip chains in mapped files. The context must be current.
         """
-        unused = [source for source in self.programs if source not in self._frame_programs]
-        for source in unused[: max(len(self.programs) - MOST_PROGRAMS, 0)]:
-            program = self.programs.pop(source)
-            self.screen_arrays.pop(program, None)
-            for part in self.parts.values():
-                part.arrays = {key: part.arrays[key] for key in part.arrays if key[0] != program}
-        self._frame_programs.clear()
         self.context.gl.gc()
         if not self._settled:
             for texture, uploaded in self.textures.items():
@@ -219,92 +280,6 @@ class Resources:
                     unload(texture.levels(kind).result())
             give_back()
         self._settled = True
-
-    def draw(
-        self, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
-    ) -> moderngl.Framebuffer:
-        """Draw a pass into its target, and return the target. Raises InputError if a map is damaged
-        or too large, and ContextError if the driver refuses a target or a program.
-
-        textures : keyed by uniform name, such as the images of earlier passes
-        """
-        target = self.target(step.target, step.area)
-        key = self.images_held.pop(step.target, None)
-        if step.key is not None and key == step.key:
-            self.images_held[step.target] = key
-            return target
-        for draw in step.draws:
-            if draw.depth == "marked" and draw.part is not None:
-                self._draw_table(draw.part, mesh)
-        with self.scopes[step.target]:
-            self._prepare(target, step)  # an error in an earlier draw may have left another state
-            target.depth_mask = step.target.depth_of is None
-            target.clear(*step.clear, viewport=step.area)
-            gl = self.context.gl
-            for draw in step.draws:
-                self._prepare(target, step, draw)
-                masks = _TO_COVERAGE * ("TO_COVERAGE" in " ".join(draw.program.features))
-                for capability in masks:
-                    gl.enable_direct(capability)
-                try:
-                    self._draw(draw, step, mesh, textures)
-                finally:
-                    for capability in masks:
-                        gl.disable_direct(capability)
-        self.images_held[step.target] = step.key
-        return target
-
-    def _prepare(self, target: moderngl.Framebuffer, step: Pass, draw: Draw | None = None) -> None:
-        """Set write masks, viewport, depth test, blending and culling for a draw, or for a clear if
-        `draw` is None."""
-        gl, depth = self.context.gl, draw.depth if draw else "test"
-        colors, count = (depth not in ("mark", "hide"),) * 4, len(target.color_attachments)
-        target.color_mask = colors if count == 1 else [colors] * count  # type: ignore[assignment]
-        target.depth_mask = depth not in ("marked", "blend")
-        target.viewport = (draw and draw.area) or (0, 0, *(step.target.size or self.size))
-        target.use()  # applies the masks and the viewport
-        gl.depth_func = {"mark": "1", "marked": "=="}.get(depth, "<=")
-        if draw is None:
-            return
-        blended = depth == "blend"
-        enabled = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or blended)
-        gl.enable_only(enabled | moderngl.CULL_FACE * (draw.double_sided is False))
-        gl.blend_func = moderngl.ONE, moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
-        gl.cull_face = "front"  # the image is drawn upside down, so front and back swap
-
-    def _draw(
-        self, draw: Draw, step: Pass, mesh: Mesh, textures: Mapping[str, moderngl.Texture]
-    ) -> None:
-        program = self.program(draw.program)
-        set_uniforms(program, {**step.uniforms, **draw.uniforms})
-        uploaded = self.part(draw.part, mesh) if draw.part else None
-        self.bind(program, draw, textures)
-        if uploaded is None or draw.depth == "marked":
-            self._screen(program).render(vertices=3)
-        else:
-            uploaded.draw(self.context.gl, program, draw.order)
-
-    def bind(
-        self, program: moderngl.Program, draw: Draw, textures: Mapping[str, moderngl.Texture]
-    ) -> None:
-        """Bind the material's maps, the triangle table and the scene's textures to the uniforms of
-        a program."""
-        textures = dict(textures)
-        if (part := draw.part) is not None:
-            for map_ in part.maps:
-                if program.get(map_[0], None):
-                    textures[map_[0]] = self.texture(*map_)  # uploads bind unit 0
-            uploaded = self.parts[part.part]
-            if draw.depth == "marked":
-                assert uploaded.table
-                (table,) = uploaded.table.target.color_attachments
-                textures["triangle_table"] = table  # type: ignore[assignment]
-            if draw.order is not None and program.get("selected_triangles", None):
-                if uploaded.selected is None:
-                    uploaded.selected = _empty(self.context.gl, len(part.part.faces), 1, 1)
-                textures["selected_triangles"] = uploaded.selected
-                _fill(uploaded.selected, draw.order.astype(np.float32))
-        _use(program, textures)
 
     def take_coarse(self, parts: Sequence[ResolvedPart]) -> None:
         """Decode and upload the reduced maps of parts (``Texture.coarse``), one after another.
@@ -322,22 +297,24 @@ class Resources:
             for map_ in sorted(maps, key=lambda map_: (costs.index(map_[2]), prod(map_[1].size))):
                 self.texture(*map_)
 
-    def target(self, kind: Target, area: Area | None = None) -> moderngl.Framebuffer:
-        """Return the framebuffer of a target, created on first use.
+    def target(self, kind: Target, area: Area | None = None) -> Canvas:
+        """Return a target on the GPU, created on first use.
 
         area : pixels that a pass draws. A target that shares a depth buffer is only as large as its
             passes need, because the images of several samples are large
         """
-        gl, size = self.context.gl, kind.size or self.size
+        gl, size, canvas = self.context.gl, kind.size, self.targets.get(kind)
+        assert size  # see ``compiled.sized``
         if kind.depth_of is not None and area is not None:
-            minimum = self.targets[kind].size if kind in self.targets else (0, 0)
+            minimum = canvas.framebuffer.size if canvas else (0, 0)
             right, top = (-(-(area[i] + area[i + 2]) // _STEP) * _STEP for i in (0, 1))
             size = min(size[0], max(right, minimum[0])), min(size[1], max(top, minimum[1]))
-            if size != minimum:
-                self.targets.pop(kind, None)
+            if canvas and size != minimum:
+                del self.targets[kind]
+                canvas = None
                 gl.gc()
-        if kind in self.targets:
-            return self.targets[kind]
+        if canvas:
+            return canvas
         self._settled = False
         samples = kind.samples if kind.samples > 1 else 0
         try:
@@ -351,77 +328,74 @@ class Resources:
                 for color in colors:
                     color.filter = moderngl.NEAREST, moderngl.NEAREST
             if kind.depth_of is None:
-                target = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
+                framebuffer = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
             else:  # moderngl refuses the depth buffer of a larger framebuffer
-                depth: Any = self.target(kind.depth_of).depth_attachment
+                depth: Any = self.target(kind.depth_of).framebuffer.depth_attachment
                 attach = self.context.function("glFramebufferRenderbuffer", *[ctypes.c_uint] * 4)
-                target = gl.framebuffer(colors)
-                target.use()
+                framebuffer = gl.framebuffer(colors)
+                framebuffer.use()
                 attach(_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER, depth.glo)
-            self.targets[kind], self.scopes[kind] = target, gl.scope(target)
         except moderngl.Error as error:
             raise ContextError(
                 f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
                 f"{kind.samples} samples ({error}); lower the size or the samples"
             ) from None
-        return target
+        self.targets[kind] = Canvas(framebuffer)
+        return self.targets[kind]
 
-    def program(self, source: Program) -> moderngl.Program:
-        """Return the compiled program from the cache, or compile it. The cache is limited by
-        :meth:`settle`."""
-        self._frame_programs.add(source)
+    def program(self, source: Program) -> CompiledProgram:
+        """Return the compiled program from the cache, or compile it. Beyond MOST_PROGRAMS, the
+        least recently used one leaves the cache; compiled frames that draw with it keep it."""
         if source in self.programs:
             self.programs[source] = self.programs.pop(source)
-        else:
-            self._settled = False
-            stages = source.sources("330 core")
-            try:
-                self.programs[source] = self.context.gl.program(
-                    vertex_shader=stages["vert"], fragment_shader=stages["frag"]
-                )
-            except moderngl.Error as error:
-                raise ContextError(
-                    f"{self.context.renderer} cannot compile a program: {error}"
-                ) from None
-        return self.programs[source]
+            return self.programs[source]
+        self._settled = False
+        stages = source.sources("330 core")
+        try:
+            program = self.context.gl.program(
+                vertex_shader=stages["vert"], fragment_shader=stages["frag"]
+            )
+        except moderngl.Error as error:
+            raise ContextError(
+                f"{self.context.renderer} cannot compile a program: {error}"
+            ) from None
+        self.programs[source] = compiled = CompiledProgram.of(program)
+        if len(self.programs) > MOST_PROGRAMS:
+            del self.programs[next(iter(self.programs))]
+        return compiled
 
-    def part(self, part: ResolvedPart, mesh: Mesh) -> Uploaded:
-        """Return a part on the GPU, which is uploaded on first use. Positions and normals are
-        uploaded again if the pose, or the mesh's centre, has changed."""
-        setup = mesh.setups[part.index]
-        uploaded = self.parts.get(part.part)
-        if uploaded is None:
-            uploaded = self.parts[part.part] = Uploaded.of(self.context.gl, part.part, setup)
-        elif uploaded.setup is not setup:
-            uploaded.moving.write(setup.vertices)
-            uploaded.setup = setup
-        return uploaded
+    def part(self, part: ResolvedPart, setup: TriangleSetup) -> Uploaded:
+        """Return a part on the GPU, which is uploaded on first use, in the given pose."""
+        if part.part not in self.parts:
+            self.parts[part.part] = Uploaded.of(self.context.gl, part.part, setup)
+        return self.parts[part.part]
 
-    def _draw_table(self, part: ResolvedPart, mesh: Mesh) -> None:
-        """Draw the triangle table of a part, unless it is up to date."""
-        gl, uploaded = self.context.gl, self.part(part, mesh)
+    def table(self, part: ResolvedPart) -> moderngl.Texture:
+        """Return the texture of the triangle table of an uploaded part, which may be empty."""
+        uploaded = self.parts[part.part]
         if uploaded.table is None:
             self._settled = False
-            uploaded.table = TriangleTable.of(gl, part.part)
+            uploaded.table = TriangleTable.of(self.context.gl, part.part)
+        (texture,) = uploaded.table.target.color_attachments
+        return texture  # type: ignore[return-value]
+
+    def draw_table(self, part: ResolvedPart) -> None:
+        """Draw the triangle table of a part for the pose that the GPU holds."""
+        uploaded = self.parts[part.part]
         table = uploaded.table
-        if table.setup is uploaded.setup:
-            return
+        assert table  # a compiled frame reads it
         _fill(table.inputs["vertices"], uploaded.setup.vertices)
         columns = table.inputs["attributes"].width // IN_ROW
         rows = f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
         macros = *table_features(part.part), *rows
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
-        _use(program, table.inputs)
+        for unit, (name, sampler) in enumerate(program.samplers.items()):
+            table.inputs[name].use(unit)
+            sampler.value = unit
         table.target.use()
-        gl.enable_only(moderngl.NOTHING)
-        self._screen(program).render(vertices=3)
-        table.setup = uploaded.setup
-
-    def _screen(self, program: moderngl.Program) -> moderngl.VertexArray:
-        """Return the vertex array of a program that draws one triangle over the target."""
-        if program not in self.screen_arrays:
-            self.screen_arrays[program] = self.context.gl.vertex_array(program, [])
-        return self.screen_arrays[program]
+        self.context.gl.enable_only(moderngl.NOTHING)
+        program.screen.render(vertices=3)
+        uploaded.table_setup = uploaded.setup
 
     def panorama(self, source: Panorama) -> moderngl.Texture:
         """Return the texture of a panorama, which is uploaded on first use."""
@@ -507,28 +481,6 @@ def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float3
     return pixels
 
 
-def _use(program: moderngl.Program, textures: Mapping[str, moderngl.Texture]) -> None:
-    """Bind textures to the uniforms that the compiler has not removed from a program."""
-    used = [binding for binding in textures.items() if program.get(binding[0], None)]
-    for unit, (name, texture) in enumerate(used):
-        texture.use(unit)
-        program[name].value = unit  # type: ignore[union-attr]
-
-
-def set_uniforms(program: moderngl.Program, values: Mapping[str, Any]) -> None:
-    """Set the uniforms that the compiler has not removed from a program."""
-    for name, value in values.items():
-        uniform: Any = program.get(name, None)  # `name in program` compares name by name
-        if uniform is None:
-            continue
-        if isinstance(value, np.ndarray):
-            # The compiler shortens an array if the program does not read the last elements.
-            size = uniform.array_length * uniform.element_size
-            uniform.write(value.astype(np.float32).tobytes()[:size])
-        else:
-            uniform.value = value
-
-
 def free(resources: Resources) -> None:
     """Free the GPU objects of a renderer and its context."""
     with resources.context.drawing():
@@ -542,7 +494,7 @@ def free_dropped(resources: Resources) -> None:
     If the context belongs to the host and is not current, the objects remain until the host frees
     the context.
     """
-    if resources.context.released or resources.context.inherited:
+    if resources.context.closed:
         return
     warnings.warn(
         "a Renderer was dropped without release(): create it in a with statement",

@@ -25,7 +25,6 @@ from facerender.values.ranges import Range, check_fields, ranged
 from facerender.values.vectors import MOST_RADII, unit
 
 Floats = NDArray[np.float64]
-Level = tuple["Geometry", list[NDArray[np.int64]]]
 
 
 class Latest(dict[Any, Any]):
@@ -43,8 +42,6 @@ class Geometry:
     """The parts of a mesh in the reference pose. All meshes that differ only in materials or in the
     pose share it.
 
-    name : file name, for messages
-    parts : at least one part
     bounds : (2, 3) float64, lowest and highest coordinates of the vertices that faces use
     radius : largest distance of a face's vertex from the centre of the bounds
     profile : (K, 2) float64, outline of the solid that the mesh sweeps when it rotates about the
@@ -96,8 +93,7 @@ class Geometry:
 
     @cached_property
     def framing(self) -> Framing:
-        """The face, and the regions that cameras frame. The search takes about half a
-        second; a camera that frames no region does not need it."""
+        """The face, and the regions that cameras frame. The search takes about half a second."""
         return self.known_framing or framing_of(self.parts, self.space, self.profile)
 
     @property
@@ -127,15 +123,9 @@ class Geometry:
         return [TriangleSetup.of(part, self.space) for part in self.parts]
 
     @cached_property
-    def levels(self) -> dict[int, Level]:
-        """Simplified geometries by triangle limit, with the vertices of each part that remain;
-        :func:`facerender.simplified` adds them."""
-        return {}
-
-    @cached_property
     def derived(self) -> Latest:
-        """Results that hints and drawing derive from the geometry with recent materials. They are
-        freed with the geometry, so that no renderer keeps a mesh alive."""
+        """Results that hints and drawing derive from the geometry with recent materials, and
+        simplified geometries. They are freed with it, so that no renderer keeps a mesh alive."""
         return Latest()
 
 
@@ -177,13 +167,12 @@ class MeshPose:
 
     @cached_property
     def levels(self) -> dict[int, MeshPose | None]:
-        """The pose of simplified geometries, by triangle limit; see :attr:`Geometry.levels`."""
+        """The pose of simplified geometries, by triangle limit."""
         return {}
 
     @cached_property
     def setups(self) -> list[TriangleSetup]:
-        """The triangles of each part as the GPU gets them. Parts that do not move share the setup
-        of the geometry."""
+        """The triangles of each part as the GPU gets them; unmoved ones share the geometry's."""
         geometry = self.geometry
         stays = self.bounds is geometry.bounds
         return [

@@ -50,14 +50,24 @@ def emit_framing(mesh: Mesh, frame: str) -> None:
 def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
     are not examined."""
+    for hint, line in mesh.geometry.derived.of(
+        "hints", mesh.materials, lambda: _of_materials(mesh)
+    ):
+        emit(mesh, hint, line)
+
+
+def _of_materials(mesh: Mesh) -> list[tuple[Callable[..., str | None], str]]:
+    """Return the hints on the materials of a mesh that are not None, with their functions."""
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
     of_maps = upside_down, green_down
-    lines = mesh.geometry.derived.of("hints", maps, lambda: [(h, h(mesh)) for h in of_maps])
-    for hint, line in (*lines, (no_ks, no_ks(mesh))):
-        emit(mesh, hint, line)
+    lines: list[tuple[Callable[..., str | None], str | None]] = [
+        *mesh.geometry.derived.of("map hints", maps, lambda: [(h, h(mesh)) for h in of_maps]),
+        (no_ks, no_ks(mesh)),
+    ]
     gloss = mesh.geometry.gloss
     if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
-        emit(mesh, faint, faint(mesh))
+        lines.append((faint, faint(mesh)))
+    return [(hint, line) for hint, line in lines if line is not None]
 
 
 def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import add
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +17,8 @@ from facerender.mesh.part import Part, Space
 
 Floats = NDArray[np.float64]
 
+# Clip coordinates of corners whose bounds are the whole image.
+_EVERYWHERE = np.array([[x, y, 0.0, 1.0] for x in (-1.0, 1.0) for y in (-1.0, 1.0)] * 2)
 _EDGE_ON = 0.01  # sine of the angle between view ray and triangle
 
 
@@ -28,6 +33,17 @@ class Area(NamedTuple):
     @property
     def empty(self) -> bool:
         return not (self.width and self.height)
+
+    @classmethod
+    def around(cls, areas: Sequence[Area]) -> Area:
+        """Return the bounds of several areas. Empty areas are ignored."""
+        filled = [area for area in areas if area[2] and area[3]]
+        if not filled:
+            return cls()
+        lefts, lows, widths, heights = zip(*filled, strict=True)
+        left, low = min(lefts), min(lows)
+        right = max(map(add, lefts, widths))
+        return cls(left, low, right - left, max(map(add, lows, heights)) - low)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,19 +90,26 @@ class TriangleSetup:
         Triangles that are seen edge-on are included, because a driver rounds positions to fractions
         of a pixel before it decides which triangles are back faces.
         """
-        edge_on = _EDGE_ON * (1.0 + np.linalg.norm(camera))
-        return np.flatnonzero(np.append(camera, 1.0).astype(np.float32) @ self.planes > -edge_on)
+        edge_on = -_EDGE_ON * (1.0 + math.sqrt(camera @ camera))
+        return (np.array((*camera, 1.0), dtype=np.float32) @ self.planes > edge_on).nonzero()[0]
 
-    def area(self, view: Floats, size: tuple[int, int]) -> Area:
-        """Return the bounds of the part in an image; empty if the part is outside the image.
 
-        view : matrix of the image's :class:`View`
-        size : width and height of the image
-        """
-        clip = self.bounds @ view
-        if clip[:, 3].min() <= 0.0:
-            return Area(0, 0, *size)
-        corners = (clip[:, :2] / clip[:, 3:] * 0.5 + 0.5) * size
-        start = np.clip(np.floor(corners.min(axis=0)), 0, size).astype(int)
-        end = np.clip(np.ceil(corners.max(axis=0)), 0, size).astype(int)
-        return Area(*start.tolist(), *(end - start).tolist())
+def areas_of(bounds: Floats, view: Floats, size: tuple[int, int]) -> list[Area]:
+    """Return the bounds of each part in an image; empty for a part outside the image.
+
+    bounds : (parts, 8, 4), see :attr:`TriangleSetup.bounds`
+    view : matrix of the image's :class:`View`
+    size : width and height of the image
+    """
+    clip = bounds @ view
+    w = clip[..., 3:]
+    if np.minimum.reduce(w, None) <= 0.0:  # a part may reach the camera
+        w = np.where(behind := w.min(axis=1, keepdims=True) <= 0.0, 1.0, w)
+        clip = np.where(behind, _EVERYWHERE, clip)
+    corners = (clip[..., :2] / w * 0.5 + 0.5) * size
+    # The largest of negated corners are the lowest ones: one array serves all four sides.
+    sides = np.maximum.reduce(np.concatenate([-corners, corners], axis=2), 1)
+    width, height = size
+    sides = np.maximum(np.ceil(sides), (-width, -height, 0, 0))
+    sides = np.minimum(sides, (0, 0, width, height)).astype(int)
+    return [Area(-left, -low, left + right, low + top) for left, low, right, top in sides.tolist()]

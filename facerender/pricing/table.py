@@ -20,18 +20,13 @@ import moderngl
 import numpy as np
 from PIL import Image
 
+from facerender.drawing.compiled import CompiledFrame, sized
 from facerender.drawing.context import Backend, Context, create_context
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import Appearance, Lighting, ResolvedPart, ResolvedScene, resolve
-from facerender.drawing.program import (
-    ENVIRONMENT_MAP,
-    Program,
-    part_uniforms,
-    scene_uniforms,
-    shade_program,
-)
-from facerender.drawing.resources import Resources, set_uniforms
-from facerender.drawing.shade import with_shadows
+from facerender.drawing.program import Program, light_uniforms, shade_program
+from facerender.drawing.resources import CompiledProgram, Resources
+from facerender.drawing.shadows import shadow_passes, shadow_texels, shadow_uniforms
 from facerender.errors import InputError, check_known
 from facerender.glsl.library import call, prelude
 from facerender.material import PROPERTY_MAPS, Material
@@ -104,7 +99,7 @@ def program_of(
     chosen = (shading or Shading()).replace(environment_samples=environment_samples)
     chosen = chosen.replace(diffuse="coupled") if coupled else chosen
     resolved, term = _as_it_is(scene, chosen), shading.term if shading else None
-    program = shade_program(resolved, resolved.appearance.parts[0], term, SLOPE)
+    program = shade_program(resolved.appearance, resolved.appearance.parts[0], term, SLOPE)
     return replace(program, call=stub) if stub else program
 
 
@@ -237,17 +232,15 @@ def by_slope(
     context = create_context(backend)
     try:
         with context.drawing() as gl:
-            resources = Resources(context, SIZE)
-            with gl.scope(resources.target(Target()), enable_only=moderngl.BLEND):
-                gl.blend_func = moderngl.ONE, moderngl.ONE
-                pairs = samples(shading)
-                runs = [
-                    _timed(context, resources, scene, source, resources.program(source))
-                    for scene, source in pairs
-                ]
-                empty = gl.program(pairs[0][1].sources("330 core")["vert"], _EMPTY)
-                runs.append(_timed(context, resources, *pairs[0], empty))
-                intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
+            resources, pairs = Resources(context), samples(shading)
+            programs = [resources.program(source) for _, source in pairs]
+            empty = gl.program(pairs[0][1].sources("330 core")["vert"], _EMPTY)
+            programs.append(CompiledProgram.of(empty))
+            runs = [
+                _timed(context, resources, scene, source, program)
+                for (scene, source), program in zip([*pairs, pairs[0]], programs, strict=True)
+            ]
+            intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
             resources.release()
     finally:
         context.release()
@@ -255,27 +248,39 @@ def by_slope(
 
 
 def _timed(
-    context: Context, resources: Resources, scene: Scene, source: Program, program: moderngl.Program
+    context: Context, resources: Resources, scene: Scene, source: Program, program: CompiledProgram
 ) -> Timed:
-    """Return a function that draws a scene of one mesh part N times and returns the seconds."""
-    resolved = _as_it_is(scene, Shading())
-    (part,) = resolved.appearance.parts
-    drawn = Pass("", Target(), (), uniforms=scene_uniforms(resolved, _VIEW))
-    *maps, drawn = with_shadows(resolved, _VIEW, (1024, 1024), [drawn])
-    set_uniforms(program, drawn.uniforms)
-    set_uniforms(program, part_uniforms(part))
-    draw = Draw(source, {}, part)
-    textures: Any = {}
+    """Return a function that draws a scene of one mesh part N times and returns the seconds.
+
+    source : program that the scene needs
+    program : program that is timed
+    """
+    resolved, mesh = _as_it_is(scene, Shading()), scene.mesh
+    look = resolved.appearance
+    (part,) = look.parts
+    texels = shadow_texels(look, _VIEW, (1024, 1024))
+    maps = shadow_passes(look, mesh, texels)
+    inputs: dict[str, Any] = {}
+    if maps:
+        CompiledFrame(resources, maps, SIZE).draw(_VIEW, mesh)
     for step in maps:
-        textures[step.name] = resources.draw(step, scene.mesh, textures).color_attachments[0]
-    if scene.environment is not None:
-        textures[ENVIRONMENT_MAP] = resources.panorama(scene.environment.panorama)
-    array = resources.part(part, scene.mesh).array(context.gl, program)
-    clock = clock_of(context)
+        framebuffer = resources.targets[sized(step.target, SIZE)].framebuffer
+        inputs[step.name] = framebuffer.color_attachments[0]
+    shared = {**light_uniforms(look), **shadow_uniforms(look, texels)}
+    step = Pass("", Target(), (Draw.of_part(source, part),), uniforms=shared)
+    panorama = scene.environment.panorama if scene.environment else None
+    frame = CompiledFrame(resources, [step], SIZE, panorama, inputs)
+    frame.draw(_VIEW, mesh)
+    array = resources.parts[part.part].array(program)
+    if matrix := program.uniforms.get("view_projection"):
+        matrix.write(_VIEW.matrix.astype("f4"))
+    clock, gl = clock_of(context), context.gl
 
     def seconds(count: int) -> float:
-        resources.bind(program, draw, textures)
-        with clock(context.gl) as elapsed:
+        frame.draw(_VIEW, mesh)  # sets the target, the uniforms and the textures
+        gl.enable_only(moderngl.BLEND)
+        gl.blend_func = moderngl.ONE, moderngl.ONE
+        with clock(gl) as elapsed:
             array.render(instances=count)
         return elapsed[0]
 
@@ -336,7 +341,7 @@ class Prices:
         """Return :meth:`cost` for one mesh part; ``smallest`` is its smallest slope m."""
         shading, material = resolved.appearance.shading, part.material
         lights = resolved.appearance.lighting.shining * bool(material.ks)
-        program = shade_program(resolved, part, None, smallest)
+        program = shade_program(resolved.appearance, part, None, smallest)
         counts = parts_of(replace(program, call=INPUTS * bool(lights)))
         if material.scattering and material.diffuse_weight > 0.0:
             counts |= {"scattering": 1, "sample of scattering": shading.scatter_samples}
@@ -386,7 +391,7 @@ def load_prices(
     seconds: dict[str, Term] = {}
     two_lobes = any(material.two_lobes for material in scene.mesh.materials)
     for shading in shadings:
-        if Lighting.of(scene, shading).shining:
+        if Lighting(scene, shading).shining:
             terms |= variants(shading.term)
             if two_lobes and shading.two_lobes:
                 seconds |= second_variants(shading.term)

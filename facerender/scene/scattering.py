@@ -10,7 +10,7 @@ import numpy as np
 from facerender.errors import InputError
 from facerender.mesh.hints import emit, unit_of, wrong_unit
 from facerender.scene.scene import Scene
-from facerender.scene.view import target_of, view_of
+from facerender.scene.view import View, target_of
 from facerender.terms.transport import Gaussians, wide_gaussians
 
 _RADII = (40.0, 1200.0)  # plausible radii of a mesh in mm, from a small head to a person
@@ -33,8 +33,10 @@ class Scattering:
     pixels: float
 
 
-def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
+def scattering_of(scene: Scene, view: View, size: tuple[int, int]) -> Scattering | None:
     """Return the scattering profiles of a scene for an image size.
+
+    view : view of the scene's camera
 
     Return None if nothing scatters over more than half a pixel at the camera target's distance.
     Raises InputError if the size of the mesh in millimetres is unknown.
@@ -51,7 +53,7 @@ def scattering_of(scene: Scene, size: tuple[int, int]) -> Scattering | None:
     millimetres = mesh.radius * mesh.millimetres
     if not _RADII[0] <= millimetres <= _RADII[1]:  # the search for the face takes time
         emit(mesh, wrong_unit, wrong_unit(mesh))
-    camera, view = scene.camera, view_of(scene, size[0] / size[1])
+    camera = scene.camera
     distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
     pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
     if camera.intrinsics is not None:

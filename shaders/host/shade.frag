@@ -179,7 +179,7 @@ vec3 shaded(Point p) {
 // that most samples of the pixel see. It adds the difference from the background, weighted by
 // coverage.
 void main() {
-    uint count = uint(triangle_count);
+    uint count = uint(triangles.y);
     uint seen[SAMPLES];
     for (int i = 0; i < SAMPLES; ++i) seen[i] = triangle_at(i);
     uint triangle = count;
@@ -202,7 +202,7 @@ void main() {
 // program shades this triangle once, at the centre of the pixel, as OpenGL does for multisampling.
 // It adds the difference from the background, weighted by coverage.
 void main() {
-    uint count = uint(triangle_count);
+    uint count = uint(triangles.y);
     uint seen[SAMPLES];
     uint triangle = count;
     for (int i = 0; i < SAMPLES; ++i) {

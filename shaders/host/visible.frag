@@ -4,7 +4,7 @@
 
 void main() {
     for (int i = 0; i < SAMPLES; ++i) {
-        if (triangle_at(i) < uint(triangle_count)) return;
+        if (triangle_at(i) < uint(triangles.y)) return;
     }
     discard;
 }

@@ -4,11 +4,9 @@ uniform sampler2DMS visible;
 #else
 uniform sampler2D visible;
 #endif
-uniform int first;        // Index of the first triangle of the part.
-uniform int triangle_count;  // Number of triangles of the part.
+uniform ivec2 triangles;  // Index of the first triangle of the part, and number of its triangles.
 
-// Return the index, within the part, of the triangle that a sample sees: triangle_count or
-// more if the sample sees another part.
+// Return the index, within the part, of the triangle that a sample sees: triangles.y or more if the sample sees another part.
 uint triangle_at(int index) {
-    return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - first);
+    return uint(int(texelFetch(visible, ivec2(gl_FragCoord.xy), index).r) - triangles.x);
 }

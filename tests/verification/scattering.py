@@ -20,6 +20,7 @@ from facerender.scene.light import Light
 from facerender.scene.scattering import scattering_of
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
+from facerender.scene.view import view_of
 from facerender.terms.transport import Gaussians, rest, scatter, scatter_area
 from tests.meshes import with_geometry
 from tests.verification.shadows import tracer_of
@@ -87,7 +88,7 @@ def scatter_errors(
     InputError : no material scatters, or the light is not directional
     """
     size = renderer.size
-    found = scattering_of(scene, size)
+    found = scattering_of(scene, view_of(scene, size[0] / size[1]), size)
     if found is None or light.position is not None:
         raise InputError(f"{scene.mesh.name}: give a material that scatters and a distant light")
     gbuffer = renderer.gbuffer(scene, Shading(normal_map=False))

@@ -6,9 +6,9 @@
 #include "host/visible.glsl"
 
 uniform sampler2D triangle_table;
-uniform vec3 ray;  // From the camera to the far plane, at the outer corner of the first pixel.
-uniform vec3 ray_x;  // Change of the ray to the next pixel to the right.
-uniform vec3 ray_y;
+// Ray from the camera to the far plane, at the outer corner of the first pixel; and its change to the
+// next pixel to the right, and to the next row.
+uniform mat3 rays;
 
 #define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
 
@@ -23,7 +23,7 @@ float affine(uint triangle, int index, vec3 position) {
     return dot(function.xyz, position) + function.w;
 }
 
-vec3 view_ray() { return ray + gl_FragCoord.x * ray_x + gl_FragCoord.y * ray_y; }
+vec3 view_ray() { return rays[0] + gl_FragCoord.x * rays[1] + gl_FragCoord.y * rays[2]; }
 
 Point point(uint triangle) {
     vec4 plane = texel_of(triangle, 0);
@@ -41,8 +41,8 @@ Point point(uint triangle) {
         affine(triangle, 1, p.position), affine(triangle, 2, p.position), affine(triangle, 3, p.position)
     );
 #if defined(UV) || defined(SHADOWS)
-    vec3 position_x = distance * (ray_x - direction * (dot(ray_x, plane.xyz) / across));
-    vec3 position_y = distance * (ray_y - direction * (dot(ray_y, plane.xyz) / across));
+    vec3 position_x = distance * (rays[1] - direction * (dot(rays[1], plane.xyz) / across));
+    vec3 position_y = distance * (rays[2] - direction * (dot(rays[2], plane.xyz) / across));
 #endif
 #ifdef UV
     vec4 u = texel_of(triangle, 4);

@@ -21,7 +21,7 @@ import numpy as np
 import facerender as fr
 from facerender.batch.jobs import JobTable
 from facerender.commands import main
-from facerender.drawing import shade
+from facerender.drawing import shadows
 from facerender.errors import FacerenderError, InputError
 from facerender.images.files import read_image
 from facerender.mesh import face
@@ -38,8 +38,8 @@ LONGEST = 600  # characters in a message, which has one line
 REDUCED = (
     (face, "_POINTS", face._POINTS // 16),
     (face, "_LOCAL", face._LOCAL // 16),
-    (shade, "_FEWEST_TEXELS", shade._FEWEST_TEXELS // 8),
-    (shade, "_BLOCKS", shade._BLOCKS // 8),
+    (shadows, "_FEWEST_TEXELS", shadows._FEWEST_TEXELS // 8),
+    (shadows, "_BLOCKS", shadows._BLOCKS // 8),
 )
 _HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")

@@ -4,10 +4,10 @@ or with another driver in a separate process."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from multiprocessing import get_context
 from types import MappingProxyType
 from typing import Any, cast
@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 import facerender as fr
 from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
+from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program
-from facerender.scene.scene import Scene
 from facerender.scene.view import View, sample_grid, view_of
 from tests.verification.pairs.scenes import Setting
 
@@ -47,24 +47,32 @@ class Retouched(fr.Renderer):
     patch: Patch | None = None
 
     def _draw(
-        self, passes: list[Pass], scene: Scene, known: Mapping[str, moderngl.Texture] = {}
+        self,
+        name: str,
+        resolved: ResolvedScene,
+        key: Hashable,
+        make: Callable[[], list[Pass]],
+        view: View,
+        inputs: Mapping[str, moderngl.Texture] | None = None,
     ) -> list[NDArray[np.float32]]:
-        drawn = [
-            replace(step, draws=tuple(self._retouched(draw) for draw in step.draws))
-            for step in passes
-        ]
-        programs = [draw.program for step in drawn for draw in step.draws]
-        assert self.patch is None or any(
-            isinstance(each, Patched) and self.patch[1] in each.sources("330")["frag"]
-            for each in programs
-        ), self.patch
-        return super()._draw(drawn, scene, known)
+        changed = partial(self._retouched, make)
+        return super()._draw(name, resolved, (key, self.patch), changed, view, inputs)
 
-    def _retouched(self, draw: Draw) -> Draw:
-        if self.patch is None or draw.program.fragment != "shade.frag":
-            return draw
+    def _retouched(self, make: Callable[[], list[Pass]]) -> list[Pass]:
+        """Return the passes with the patch in all programs that have the passage."""
+        if self.patch is None:
+            return make()
         old, new = self.patch
-        return replace(draw, program=Patched(**vars(draw.program), old=old, new=new))
+
+        def patched(draw: Draw) -> Draw:
+            if draw.program.fragment != "shade.frag":
+                return draw
+            return replace(draw, program=Patched(**vars(draw.program), old=old, new=new))
+
+        passes = [replace(step, draws=tuple(map(patched, step.draws))) for step in make()]
+        programs = [draw.program for step in passes for draw in step.draws]
+        assert any(new in program.sources("330")["frag"] for program in programs), self.patch
+        return passes
 
 
 class Room:

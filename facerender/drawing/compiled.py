@@ -1,0 +1,432 @@
+"""Compiled frames: passes whose programs, vertex arrays, textures and targets are looked up once. A
+compiled frame draws its passes for any camera, and for any pose of its mesh. For each drawing it
+
+1. computes what depends on the view: bounds, triangles that face the camera, blended triangles in
+   order, and the uniforms of the camera
+2. uploads all of this, and a changed pose, before the first draw: an upload between two draws waits
+   for the first one
+3. replays the draws, and skips passes whose target still holds their image
+
+Uniforms belong to a program, which several draws may share. A uniform that is equal in all draws of
+a frame is written when another frame was drawn before; other uniforms are written before each draw.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.program import ENVIRONMENT_MAP
+from facerender.drawing.resources import Canvas, CompiledProgram, Resources, Uploaded
+from facerender.mesh.mesh import Mesh
+from facerender.mesh.setup import Area, TriangleSetup, areas_of
+from facerender.scene.view import View
+
+if TYPE_CHECKING:
+    from facerender.scene.environment import Panorama
+
+_ALL, _NOTHING = (True,) * 4, (False,) * 4
+# SAMPLE_ALPHA_TO_COVERAGE and SAMPLE_ALPHA_TO_ONE, for draws with the feature TO_COVERAGE.
+_TO_COVERAGE = (0x809E, 0x809F)
+# By Draw.depth: whether colours and depth are written, and the depth test.
+_STATES = {
+    "test": (_ALL, True, "<="),
+    "hide": (_NOTHING, True, "<="),
+    "blend": (_ALL, False, "<="),
+    "mark": (_NOTHING, True, "1"),
+    "marked": (_ALL, False, "=="),
+}
+_UNKNOWN = (None,) * 5
+_FAR_CORNERS = np.array([[-1, -1, 1, 1], [1, -1, 1, 1], [-1, 1, 1, 1]], dtype=float)
+
+Values = list[tuple[Any, bytes]]  # uniforms, of which moderngl's type lacks some attributes
+
+
+@dataclass(eq=False, slots=True)
+class _Call:
+    """A draw with its OpenGL objects.
+
+    part : index of the part; -1 for none
+    chosen : whether the triangles depend on the view
+    bounds : key of the view's bounds to draw; None for a fixed area
+    area : fixed area
+    state : write masks, depth test, enabled capabilities and blend function
+    count : number of vertices; -1 for all
+    covers : whether alpha becomes coverage
+    textures : textures with their units
+    uniforms : values that the draws of the program do not share
+    """
+
+    array: moderngl.VertexArray
+    part: int
+    chosen: bool
+    bounds: int | str | None
+    area: Any
+    state: tuple[Any, ...]
+    count: int
+    covers: bool
+    textures: list[tuple[moderngl.Texture, int]]
+    uniforms: Values = field(default_factory=list)
+
+
+@dataclass(eq=False, slots=True)
+class _Step:
+    """A pass with its OpenGL objects.
+
+    single : framebuffer with one value per pixel; None if the target has no samples to resolve
+    size : width and height of the framebuffer
+    blends : slice of the calls that are sorted by depth
+    """
+
+    source: Pass
+    canvas: Canvas
+    framebuffer: moderngl.Framebuffer
+    single: moderngl.Framebuffer | None
+    size: tuple[int, int]
+    calls: list[_Call]
+    blends: slice
+
+
+class CompiledFrame:
+    """The passes of a frame as OpenGL objects; see the head of this module.
+
+    size : width and height in pixels
+    panorama : panorama of the environment that lights the scene; None for none
+    inputs : further textures of the passes by uniform name: none of them is an image of a pass
+    """
+
+    def __init__(
+        self,
+        resources: Resources,
+        passes: Sequence[Pass],
+        size: tuple[int, int],
+        panorama: Panorama | None = None,
+        inputs: Mapping[str, moderngl.Texture] = {},
+    ) -> None:
+        self.resources, self.passes, self.size = resources, passes, size
+        self.panorama, self.inputs = panorama, inputs
+        self._token = object()
+        self._state: tuple[Any, ...] = _UNKNOWN  # of the draw before
+        self._steps: list[_Step] = []
+        self._constant: Values = []
+        self._camera: dict[str, list[Any]] = {}
+        draws = [(draw.part, draw) for step in passes for draw in step.draws if draw.part]
+        # Parts by index; indices of parts whose triangle table is read, and by their order.
+        self._parts = {part.index: part for part, _ in draws}
+        self._tables = {part.index for part, draw in draws if draw.depth == "marked"}
+        orders = {(p.index, draw.order) for p, draw in draws if isinstance(draw.order, str)}
+        self._facing = sorted(index for index, order in orders if order == "facing")
+        self._sorted = sorted(index for index, order in orders if order == "sorted")
+        used = {area for s in passes for area in (s.area, *(draw.area for draw in s.draws))}
+        groups = {"blended": self._sorted, "opaque": sorted(self._tables)}
+        self._groups = {name: group for name, group in groups.items() if name in used}
+        self._uploaded: dict[int, Uploaded] = {}
+        self._bounds: tuple[Any, NDArray[np.float64]] = (None, np.empty(0))
+
+    # --- compiling -------------------------------------------------------------------------------
+
+    def _compile(self, mesh: Mesh, blended: Area) -> None:
+        """Look up all OpenGL objects. For errors see :meth:`draw`.
+
+        blended : bounds of the blended parts
+        """
+        resources, steps = self.resources, []
+        textures = dict(self.inputs)
+        if self.panorama is not None:
+            textures[ENVIRONMENT_MAP] = resources.panorama(self.panorama)
+        area = Area(0, 0, 1, 1) if blended.empty else blended
+        users: dict[CompiledProgram, list[tuple[_Call, Mapping[str, Any]]]] = {}
+        for step in self.passes:
+            target = sized(step.target, self.size)
+            canvas, single = resources.target(target, area), None
+            framebuffer = canvas.framebuffer
+            calls = []
+            for draw in step.draws:
+                program = resources.program(draw.program)
+                calls.append(call := self._call(draw, step, program, mesh, textures))
+                users.setdefault(program, []).append((call, {**step.uniforms, **draw.uniforms}))
+            _bind_once(calls)
+            if target.samples > 1 and target.values == "color" and target.resolved:
+                single = resources.target(replace(target, samples=1)).framebuffer
+            if target.sampled:
+                images: Any = (single or framebuffer).color_attachments
+                textures |= zip((step.name, *step.others), images, strict=False)
+            orders = [draw.order if isinstance(draw.order, str) else "" for draw in step.draws]
+            sorts = [number for number, order in enumerate(orders) if order == "sorted"]
+            blends = slice(sorts[0], sorts[-1] + 1) if sorts else slice(0, 0)
+            size = framebuffer.size
+            steps.append(_Step(step, canvas, framebuffer, single, size, calls, blends))
+        self._constant, self._camera = [], {}
+        for program, pairs in users.items():
+            self._share(program, pairs)
+        self._steps, resources.last_frame = steps, None
+
+    def _call(
+        self,
+        draw: Draw,
+        step: Pass,
+        program: CompiledProgram,
+        mesh: Mesh,
+        textures: Mapping[str, moderngl.Texture],
+    ) -> _Call:
+        """Return the call of a draw."""
+        resources, part = self.resources, draw.part
+        screen = part is None or draw.depth in ("mark", "marked")
+        bound = dict(textures)
+        if part is not None:
+            uploaded = resources.part(part, mesh.setups[part.index])
+            self._uploaded[part.index] = uploaded
+            for map_ in part.maps:
+                if map_[0] in program.samplers:
+                    bound[map_[0]] = resources.texture(*map_)
+            if draw.depth == "marked":
+                bound["triangle_table"] = resources.table(part)
+            if "selected_triangles" in program.samplers:
+                bound["selected_triangles"] = uploaded.selection()
+        array = program.screen if screen else uploaded.array(program, draw.order)
+        blended = draw.depth == "blend"
+        flags = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or blended)
+        flags |= moderngl.CULL_FACE * (draw.double_sided is False)
+        factor = moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
+        names = enumerate(program.samplers)
+        bounds: int | str | None = draw.area if isinstance(draw.area, str) else None
+        if bounds == "part" and part:
+            bounds = part.index
+        return _Call(
+            array,
+            part.index if part else -1,
+            isinstance(draw.order, str),
+            bounds,
+            None if bounds is not None else draw.area or (0, 0, *(step.target.size or self.size)),
+            (*_STATES[draw.depth], flags, factor),
+            3 if screen else -1,
+            "TO_COVERAGE" in " ".join(draw.program.features),
+            [(bound[name], unit) for unit, name in names if name in bound],
+        )
+
+    def _share(
+        self, program: CompiledProgram, users: Sequence[tuple[_Call, Mapping[str, Any]]]
+    ) -> None:
+        """Sort the uniforms of a program into three kinds: uniforms of the camera, equal in all
+        draws, and different from draw to draw."""
+        for unit, sampler in enumerate(program.samplers.values()):
+            self._constant.append((sampler, struct.pack("i", unit)))
+        for name, uniform in program.uniforms.items():
+            pairs = [(call, values[name]) for call, values in users if name in values]
+            if not pairs:
+                if name in _CAMERA:
+                    self._camera.setdefault(name, []).append(uniform)
+                continue
+            first = pairs[0][1]
+            if all(value is first for _, value in pairs):
+                self._constant.append((uniform, _packed(uniform, first)))
+                continue
+            packed = [_packed(uniform, value) for _, value in pairs]
+            if packed.count(packed[0]) == len(packed):
+                self._constant.append((uniform, packed[0]))
+                continue
+            for (call, _), data in zip(pairs, packed, strict=True):
+                call.uniforms.append((uniform, data))
+
+    # --- drawing ---------------------------------------------------------------------------------
+
+    def draw(self, view: View, mesh: Mesh) -> moderngl.Framebuffer:
+        """Draw all passes for a camera and a pose, and return the framebuffer of the last pass. The
+        context must be current.
+
+        Raises InputError if a map is damaged or too large, and ContextError if the driver refuses a
+        target or a program.
+        """
+        resources, setups = self.resources, mesh.setups
+        areas = self._areas(view, setups) if self._parts else {}
+        blended = areas.get("blended") or Area()
+        right, low = blended[0] + blended[2], blended[1] + blended[3]
+        for step in self._steps:
+            outgrown = step.source.area is not None and (right > step.size[0] or low > step.size[1])
+            if outgrown or step.framebuffer is not step.canvas.framebuffer:
+                self._steps = []
+                break
+        if not self._steps:
+            self._compile(mesh, blended)
+        counts, nearest = self._upload(view, setups)
+        for index in self._facing:
+            if not counts[index]:
+                areas[index] = Area()
+        if resources.last_frame is not self._token:
+            for uniform, data in self._constant:
+                uniform.write(data)
+            resources.last_frame = self._token
+        for name, uniforms in self._camera.items():
+            values = _CAMERA[name](view, self.size)
+            for uniform in uniforms:
+                uniform.write(values)
+        resources.context.gl.cull_face = "front"  # the image is drawn upside down
+        self._state, token = _UNKNOWN, mesh.token
+        for step in self._steps:
+            bounds, key, canvas = step.source.area, step.source.key, step.canvas
+            if bounds is not None and areas[bounds].empty:
+                continue
+            if key is not None and canvas.held == (key, token):
+                continue
+            canvas.held = None  # an error leaves an incomplete image
+            self._replay(step, areas, counts, nearest)
+            canvas.held = None if key is None else (key, token)
+        last = self._steps[-1]
+        return last.single or last.framebuffer
+
+    def _areas(self, view: View, setups: Sequence[TriangleSetup]) -> dict[Any, Area]:
+        """Return bounds in the image: of each part by its index, and by the names of Bounds."""
+        if self._bounds[0] is not setups:
+            self._bounds = setups, np.array([setup.bounds for setup in setups], dtype=float)
+        areas: dict[Any, Area] = dict(enumerate(areas_of(self._bounds[1], view.matrix, self.size)))
+        for name, indices in self._groups.items():
+            areas[name] = Area.around([areas[index] for index in indices])
+        return areas
+
+    def _upload(
+        self, view: View, setups: Sequence[TriangleSetup]
+    ) -> tuple[dict[int, int], dict[int, float]]:
+        """Upload a changed pose and the triangles that depend on the view. Return the number of
+        chosen triangles, and the nearest depth of blended parts, by index of the part."""
+        counts, nearest = {}, {}
+        for index, uploaded in self._uploaded.items():
+            if uploaded.setup is not setups[index]:
+                uploaded.move(setups[index])
+            if index in self._tables and uploaded.table_setup is not setups[index]:
+                self.resources.draw_table(self._parts[index])
+        for index in self._facing:
+            order = setups[index].facing(view.position)
+            counts[index] = self._uploaded[index].choose(order)
+        for index in self._sorted:
+            setup = setups[index]
+            depth = setup.positions @ view.forward
+            order = (-np.add.reduce(depth[setup.faces], 1)).argsort(kind="stable")
+            nearest[index] = float(np.minimum.reduce(depth))
+            counts[index] = self._uploaded[index].choose(order)
+        return counts, nearest
+
+    def _replay(
+        self,
+        step: _Step,
+        areas: Mapping[Any, Area],
+        counts: Mapping[int, int],
+        nearest: Mapping[int, float],
+    ) -> None:
+        """Draw a pass into its target."""
+        gl, framebuffer, calls = self.resources.context.gl, step.framebuffer, step.calls
+        target = step.source.target
+        if step.blends.stop - step.blends.start > 1:
+            blends = sorted(calls[step.blends], key=lambda call: -nearest[call.part])
+            calls = [*calls[: step.blends.start], *blends, *calls[step.blends.stop :]]
+        viewport: Any = (0, 0, *(target.size or self.size))
+        framebuffer.color_mask = _ALL if target.colors == 1 else [_ALL] * target.colors  # type: ignore[assignment]
+        framebuffer.depth_mask = target.depth_of is None
+        framebuffer.viewport = viewport
+        framebuffer.use()  # applies the colour masks
+        framebuffer.clear(*step.source.clear, viewport=areas.get(step.source.area))
+        if target.depth_of:
+            framebuffer.depth_mask = True
+        state = (_ALL, True, *self._state[2:])
+        for call in calls:
+            for texture, unit in call.textures:
+                texture.use(unit)
+            area = call.area if call.bounds is None else areas[call.bounds]
+            if not (area[2] and area[3]):
+                continue
+            if call.state != state:
+                self._change(framebuffer, target, state, call.state)
+                state = call.state
+            if area != viewport:
+                framebuffer.viewport = viewport = area
+            for uniform, data in call.uniforms:
+                uniform.write(data)
+            vertices = 3 * counts[call.part] if call.chosen else call.count
+            if not call.covers:
+                call.array.render(vertices=vertices)
+                continue
+            for capability in _TO_COVERAGE:
+                gl.enable_direct(capability)
+            try:
+                call.array.render(vertices=vertices)
+            finally:
+                for capability in _TO_COVERAGE:
+                    gl.disable_direct(capability)
+        self._state = state
+        if step.single:
+            gl.copy_framebuffer(step.single, framebuffer)
+
+    def _change(
+        self,
+        framebuffer: moderngl.Framebuffer,
+        target: Target,
+        old: tuple[Any, ...],
+        new: tuple[Any, ...],
+    ) -> None:
+        """Change the state between two draws."""
+        gl = self.resources.context.gl
+        colors, depth, test, flags, factor = new
+        if colors is not old[0]:
+            framebuffer.color_mask = colors if target.colors == 1 else [colors] * target.colors  # type: ignore[assignment]
+            framebuffer.use()
+        if depth is not old[1]:
+            framebuffer.depth_mask = depth
+        if test != old[2]:
+            gl.depth_func = test
+        if flags != old[3]:
+            gl.enable_only(flags)
+        if (flags, factor) != old[3:]:
+            gl.blend_func = moderngl.ONE, factor
+
+
+def _bind_once(calls: Sequence[_Call]) -> None:
+    """Remove the textures that the draw before has bound to the same unit."""
+    bound: dict[int, moderngl.Texture] = {}
+    for call in calls:
+        if call.chosen:  # the view decides the order of blended parts
+            bound.clear()
+            continue
+        before = dict(bound)
+        bound |= {unit: texture for texture, unit in call.textures}
+        call.textures = [(t, unit) for t, unit in call.textures if before.get(unit) is not t]
+
+
+def sized(target: Target, size: tuple[int, int]) -> Target:
+    """Return a target with an explicit size, which is the frame's unless it has one."""
+    below = target.depth_of and sized(target.depth_of, size)
+    return replace(target, size=target.size or size, depth_of=below)
+
+
+def _packed(uniform: Any, value: Any) -> bytes:
+    """Return the bytes of a uniform's value. The compiler shortens an array if the program does not
+    read the last elements."""
+    if isinstance(value, np.ndarray):
+        size = uniform.array_length * uniform.element_size
+        return value.astype(np.float32).tobytes()[:size]
+    values = value if isinstance(value, tuple) else (value,)
+    return struct.pack(uniform.fmt, *values)
+
+
+def _rays(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the columns of a matrix: the ray from the camera to the outer corner of pixel (0, 0),
+    and the change of the ray per pixel in x and y."""
+    far = _FAR_CORNERS @ np.linalg.inv(view.matrix)
+    rays = far[:, :3] / far[:, 3:] - view.position
+    rays[1] = (rays[1] - rays[0]) / size[0]
+    rays[2] = (rays[2] - rays[0]) / size[1]
+    return np.asarray(rays, dtype=np.float32)
+
+
+# The uniforms of the camera, by name.
+_CAMERA: dict[str, Callable[[View, tuple[int, int]], NDArray[np.float32]]] = {
+    "view_projection": lambda view, size: view.matrix.astype(np.float32),
+    "camera_position": lambda view, size: view.position.astype(np.float32),
+    "forward": lambda view, size: view.forward.astype(np.float32),
+    "rays": _rays,
+}
