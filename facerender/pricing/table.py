@@ -33,6 +33,7 @@ from facerender.material import PROPERTY_MAPS, Material
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
+from facerender.mesh.setup import Area
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock_of, slopes
 from facerender.scene.environment import Environment, studio
@@ -267,7 +268,8 @@ def _timed(
         framebuffer = resources.targets[sized(step.target, SIZE)].framebuffer
         inputs[step.name] = framebuffer.color_attachments[0]
     shared = {**light_uniforms(look), **shadow_uniforms(look, texels)}
-    step = Pass("", Target(), (Draw.of_part(source, part),), uniforms=shared)
+    draw = replace(Draw.of_part(source, part), area=Area(0, 0, 1, 1))
+    step = Pass("", Target(), (draw,), uniforms=shared)
     panorama = scene.environment.panorama if scene.environment else None
     frame = CompiledFrame(resources, [step], SIZE, panorama, inputs)
     frame.draw(_VIEW, mesh)
@@ -277,7 +279,8 @@ def _timed(
     clock, gl = clock_of(context), context.gl
 
     def seconds(count: int) -> float:
-        frame.draw(_VIEW, mesh)  # sets the target, the uniforms and the textures
+        # The drawing of one pixel sets the target, the uniforms and the textures.
+        frame.draw(_VIEW, mesh).viewport = 0, 0, *SIZE
         gl.enable_only(moderngl.BLEND)
         gl.blend_func = moderngl.ONE, moderngl.ONE
         with clock(gl) as elapsed:
