@@ -251,15 +251,15 @@ class Renderer:
         linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
         check_image(linear, scene)
         emit_all(resolved.scene.mesh)
-        own = self.metadata | {"samples": str(samples)}
-        own |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        own |= {"only": only} if only else {}
+        settings = self.metadata | {"samples": str(samples)}
+        settings |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
+        settings |= {"only": only} if only else {}
         kind, look = self.albedo_kind, resolved.appearance
         metadata = LazyMetadata(
             lambda: {
                 **scene_metadata(scene, appearance_of(scene, shading, kind)),
                 **shading_metadata(look, only),
-                **own,
+                **settings,
             }
         )
         return Frame(linear, only, scene.background is None, metadata)
@@ -580,12 +580,12 @@ class Renderer:
         with self.context.drawing():
             self._resources.settle()
             frames = self._resources.frames.setdefault(resolved.appearance, {})
-            place = self.size, name, key
-            frame = None if inputs is not None else frames.pop(place, None)
+            address = self.size, name, key
+            frame = None if inputs is not None else frames.pop(address, None)
             if frame is None:
                 frame = CompiledFrame(self._resources, make(), self.size, panorama, inputs or {})
             if inputs is None:
-                frames[place] = frame
+                frames[address] = frame
                 if len(frames) > _MOST_FRAMES:
                     del frames[next(iter(frames))]
             target = frame.draw(view, scene.mesh)

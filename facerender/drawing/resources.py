@@ -436,8 +436,8 @@ class Resources:
         upload = self.context.function("glTexSubImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)
         for number, level in enumerate(levels):
             texels = np.ascontiguousarray(level)
-            place = 0, 0, level.shape[1], level.shape[0]
-            upload(_TEXTURE_2D, number, *place, layout, data_type, texels.ctypes.data)
+            rectangle = 0, 0, level.shape[1], level.shape[0]
+            upload(_TEXTURE_2D, number, *rectangle, layout, data_type, texels.ctypes.data)
         # The values of a property map vary slowly, so a step between mip levels is invisible.
         # Blending two levels would take 5 % of the frame time on a software driver.
         step = name == "property_map"
