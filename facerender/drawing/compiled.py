@@ -87,7 +87,6 @@ class _Step:
 
     source: Pass
     canvas: Canvas
-    framebuffer: moderngl.Framebuffer
     single: moderngl.Framebuffer | None
     size: tuple[int, int]
     calls: list[_Call]
@@ -161,8 +160,7 @@ class CompiledFrame:
             orders = [draw.order if isinstance(draw.order, str) else "" for draw in step.draws]
             sorts = [number for number, order in enumerate(orders) if order == "sorted"]
             blends = slice(sorts[0], sorts[-1] + 1) if sorts else slice(0, 0)
-            size = framebuffer.size
-            steps.append(_Step(step, canvas, framebuffer, single, size, calls, blends))
+            steps.append(_Step(step, canvas, single, framebuffer.size, calls, blends))
         self._constant, self._camera = [], {}
         for program, pairs in users.items():
             self._share(program, pairs)
@@ -249,9 +247,8 @@ class CompiledFrame:
         blended = areas.get("blended") or Area()
         right, low = blended[0] + blended[2], blended[1] + blended[3]
         for step in self._steps:
-            outgrown = step.source.area is not None and (right > step.size[0] or low > step.size[1])
-            if outgrown or step.framebuffer is not step.canvas.framebuffer:
-                self._steps = []
+            if step.source.area is not None and (right > step.size[0] or low > step.size[1]):
+                self._steps = []  # the target is too small for the blended parts
                 break
         if not self._steps:
             self._compile(mesh, blended)
@@ -279,7 +276,7 @@ class CompiledFrame:
             self._replay(step, areas, counts, nearest)
             canvas.held = None if key is None else (key, token)
         last = self._steps[-1]
-        return last.single or last.framebuffer
+        return last.single or last.canvas.framebuffer
 
     def _areas(self, view: View, setups: Sequence[TriangleSetup]) -> dict[Any, Area]:
         """Return bounds in the image: of each part by its index, and by the names of Bounds."""
@@ -320,8 +317,8 @@ class CompiledFrame:
         nearest: Mapping[int, float],
     ) -> None:
         """Draw a pass into its target."""
-        gl, framebuffer, calls = self.resources.context.gl, step.framebuffer, step.calls
-        target = step.source.target
+        gl, framebuffer = self.resources.context.gl, step.canvas.framebuffer
+        target, calls = step.source.target, step.calls
         if step.blends.stop - step.blends.start > 1:
             blends = sorted(calls[step.blends], key=lambda call: -nearest[call.part])
             calls = [*calls[: step.blends.start], *blends, *calls[step.blends.stop :]]

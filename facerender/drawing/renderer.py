@@ -437,15 +437,15 @@ class Renderer:
             framebuffer = self._resources.targets[sized(previous, self.size)].framebuffer
             inputs["previous_layer"] = framebuffer.color_attachments[-1]  # type: ignore[assignment]
         make = partial(surface_passes, of, names, layer)
-        surfaces = self._draw("surface", resolved, of.key, make, view, inputs)
+        surfaces = self._draw("surface", resolved, (of.key, layer), make, view, inputs)
         images = dict(zip(names, surfaces, strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if number := len(look.lighting.shadowed):
             cast = (casting or resolved).appearance
-            make = partial(fraction_passes, of, layer, cast)
-            fractions = self._draw("fractions", resolved, (of.key, cast.token), make, view, inputs)
+            make, key = partial(fraction_passes, of, layer, cast), (of.key, layer, cast.token)
+            fractions = self._draw("fractions", resolved, key, make, view, inputs)
             all_fractions = np.concatenate(fractions, axis=-1)[..., :number]
             visibilities[..., look.lighting.shadowed] = all_fractions
         material = scene.mesh.materials[layer.part] if layer else None
@@ -567,13 +567,13 @@ class Renderer:
         key: Hashable,
         make: Callable[[], list[Pass]],
         view: View,
-        inputs: Mapping[str, moderngl.Texture] | None = None,
+        inputs: Mapping[str, moderngl.Texture] = {},
     ) -> list[NDArray[np.float32]]:
         """Draw a frame, which is compiled on first use, and return the images of its last pass.
 
         name, key : value that is equal for frames of one appearance and size with equal passes
         make : returns these passes
-        inputs : further textures that passes read, by uniform name, of a frame that is not cached
+        inputs : further textures that passes read, by uniform name. Such a frame is not cached
         """
         scene = resolved.scene
         panorama = scene.environment.panorama if scene.environment else None
@@ -581,10 +581,10 @@ class Renderer:
             self._resources.settle()
             frames = self._resources.frames.setdefault(resolved.appearance, {})
             address = self.size, name, key
-            frame = None if inputs is not None else frames.pop(address, None)
+            frame = None if inputs else frames.pop(address, None)
             if frame is None:
-                frame = CompiledFrame(self._resources, make(), self.size, panorama, inputs or {})
-            if inputs is None:
+                frame = CompiledFrame(self._resources, make(), self.size, panorama, inputs)
+            if not inputs:
                 frames[address] = frame
                 if len(frames) > _MOST_FRAMES:
                     del frames[next(iter(frames))]

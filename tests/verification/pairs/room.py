@@ -53,7 +53,7 @@ class Retouched(fr.Renderer):
         key: Hashable,
         make: Callable[[], list[Pass]],
         view: View,
-        inputs: Mapping[str, moderngl.Texture] | None = None,
+        inputs: Mapping[str, moderngl.Texture] = {},
     ) -> list[NDArray[np.float32]]:
         changed = partial(self._retouched, make)
         return super()._draw(name, resolved, (key, self.patch), changed, view, inputs)
