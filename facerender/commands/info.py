@@ -16,7 +16,8 @@ from facerender.commands.output import print_result
 from facerender.errors import FacerenderWarning, number_of
 from facerender.material import MAPS, PRESETS, Material
 from facerender.mesh import hints
-from facerender.mesh.mesh import Mesh, clips_of
+from facerender.mesh.geometry import clips_of
+from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
 from facerender.scene.job import MeshFile
 

@@ -2,6 +2,6 @@
 once and never changes; the materials, which options change; and the pose, which frames change.
 
 ``part`` and ``setup`` are the triangles of one material, as read and as the GPU gets them.
-``repair`` and ``arrays`` prepare them, ``framing`` finds the head, and ``geometry`` owns all that
-derives from them. ``rig`` has the data that move vertices, and ``pose`` evaluates them. ``mesh``
-joins the three. ``simplify``, ``occlusion`` and ``hints`` work on meshes. OpenGL is not used."""
+``repair`` prepares them, ``framing`` finds the head, and ``geometry`` owns all that derives from
+them, and poses. ``rig`` has the data that move vertices. ``mesh`` joins the three. ``simplify``,
+``occlusion`` and ``hints`` work on meshes. OpenGL is not used."""

@@ -242,10 +242,8 @@ def _raster(points: Float, pose: _Poses, count: int) -> Float:
     away = (points - tip[:, None]) / size
     x, y, z = (away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2] for axis in axes)
     inside = (np.abs(x) < _HALF) & (np.abs(y) < _HALF) & (z < 0.7) & (z > _FLOOR - 0.3)
-    scale = count / 2.0 / _HALF
-    column, row = (
-        ((c[inside] + _HALF) * scale).astype(np.int64).clip(0, count - 1) for c in (x, y)
-    )
+    places = (np.stack([x[inside], y[inside]]) + _HALF) * (count / 2.0 / _HALF)
+    column, row = places.astype(np.int64).clip(0, count - 1)
     cells, z = row * count + column, z[inside]
     top = np.full(count * count, -np.inf)
     np.maximum.at(top, cells, z)
@@ -351,12 +349,12 @@ class _Grid:
 
 
 class _Map:
-    """Heights (K,) of a relief, their slopes along x and y, and weights, at places x and y, for
-    correlation and for Gauss-Newton steps."""
+    """Heights of a relief with their slopes along x and y, (3, K), and weights, at places x and y,
+    for correlation and for Gauss-Newton steps."""
 
-    def __init__(self, places: Float, heights: Float, slopes: Float, weights: Float) -> None:
-        self.places, self.heights, self.weights = places, heights, weights
-        (x, y), (across, along), one = places, slopes, np.ones(len(heights))
+    def __init__(self, places: Float, columns: Float, weights: Float) -> None:
+        self.places, self.heights, self.weights = places, columns[0], weights
+        (x, y), (heights, across, along), one = places, columns, np.ones(len(weights))
         # The best quadratic surface is removed from heights: it is the same for heads and heels.
         basis: list[Float] = []
         for column in (one, x, y, x * x, x * y, y * y):
@@ -371,8 +369,8 @@ class _Map:
         # Unknowns: rotation about x, y and z; shift along x, y and z; growth; bending.
         rotation = y + along * heights, -x - across * heights, across * y - along * x
         growth = heights - across * x - along * y
-        columns = *rotation, -across, -along, one, growth, x * x, x * y, y * y
-        self.changes = np.stack(columns, axis=1)
+        changes = *rotation, -across, -along, one, growth, x * x, x * y, y * y
+        self.changes = np.stack(changes, axis=1)
         self.squares = (self.changes[:, :, None] * self.changes[:, None]).reshape(len(x), -1)
 
     def _quadratic(self, maps: Float) -> Float:
@@ -396,9 +394,8 @@ class _Map:
         off = heights - self.heights
         weights = (heights > _FLOOR) * self.weights**2 / (1.0 + (off / 0.2) ** 2)
         systems = _product(weights, self.squares).reshape(-1, 10, 10) + _DAMPING
-        return poses.changed(
-            _solved(systems, _product(weights * off, self.changes)).clip(-0.3, 0.3)
-        )
+        change = _solved(systems, _product(weights * off, self.changes))
+        return poses.changed(change.clip(-0.3, 0.3))
 
 
 class _Relief:
@@ -408,10 +405,8 @@ class _Relief:
     def __init__(self, relief: Float) -> None:
         self.count = count = len(relief)
         side = (np.arange(count) + 0.5) * (2.0 * _HALF / count)
-        self.blurs: dict[float, Float] = {
-            width: np.round(np.exp(-(((side[:, None] - side) / width) ** 2) / 2.0), 9)
-            for width in np.ravel(_WIDTHS).tolist()
-        }
+        steps = (side[:, None] - side) / np.reshape(_WIDTHS, (2, 2, 1, 1))
+        self.blurs = np.round(np.exp(-(steps**2) / 2.0), 9)
         x, y = np.meshgrid(side - _HALF, side - _HALF)
         face = (x * x + y * y < 1.25**2) & (y > -1.1)
         self.masks = face, face & (y > -0.3)  # the face, and the face without mouth and chin
@@ -420,8 +415,7 @@ class _Relief:
         along, across = np.gradient(relief, side[1] - side[0])
         self.columns = np.stack([relief, across, along])
         weights = np.where(y > -0.35, 1.0, 0.5)[self.disc]
-        columns = self.columns[:, self.disc]
-        self.map = _Map(np.stack([x, y])[:, self.disc], columns[0], columns[1:], weights)
+        self.map = _Map(np.stack([x, y])[:, self.disc], self.columns[:, self.disc], weights)
 
     def on_disc(self, heights: Float) -> Float:
         return np.asarray(np.nan_to_num(heights, nan=_FLOOR)[self.disc])
@@ -430,8 +424,7 @@ class _Relief:
         """Return for each band of a map the differences and the weights."""
         seen = (heights > _FLOOR).astype(np.float64)  # 0 for NaN
         filled, bands = np.where(seen > 0.0, heights, 0.0), []
-        for widths in _WIDTHS:
-            blurs = [self.blurs[width] for width in widths]
+        for blurs in self.blurs:
             totals = [_product(_product(blur, seen), blur) for blur in blurs]
             fine, broad = (
                 _product(_product(blur, filled), blur) / np.maximum(total, 1e-9)
@@ -473,11 +466,9 @@ def _polar() -> tuple[_Map, Float]:
     of it (K, angles) for each roll."""
     relief = _reliefs(coarse=True)[0]
     places = np.stack([np.outer(_RINGS, column).ravel() for column in (_COS, _SIN)])
-    column, row = (
-        ((places + _HALF) * (relief.count / 2.0 / _HALF)).astype(np.int64).clip(0, relief.count - 1)
-    )
-    heights, *slopes = relief.columns[:, row, column]
+    cells = ((places + _HALF) * (relief.count / 2.0 / _HALF)).astype(np.int64)
+    column, row = cells.clip(0, relief.count - 1)
     weights = np.repeat(2.0 * np.sqrt(_RINGS / _RINGS[-1]), _ANGLES)
-    polar = _Map(places, heights, np.stack(slopes), weights)
+    polar = _Map(places, relief.columns[:, row, column], weights)
     rings = polar.flat.reshape(-1, _ANGLES)
     return polar, np.stack([np.roll(rings, k, 1).ravel() for k in range(_ANGLES)], axis=1)

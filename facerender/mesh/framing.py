@@ -15,9 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.mesh.face import Face, Surface, find_faces
-from facerender.mesh.part import Part, Region, Space
-
-Float = NDArray[np.float64]
+from facerender.mesh.part import Float, Part, Region, Space
 
 # Regions of a face in distances between the eyes, from the middle of the eyes: lower end, upper end
 # and half the width. Source: Farkas (1994), "Anthropometry of the head and face".
@@ -79,8 +77,7 @@ def framing_of(
     if face is not None:
         regions = _of_face(face, space, points)
     else:
-        pairs = zip(parts, corners, strict=True)
-        named = np.concatenate([_named(*pair, space) for pair in pairs])
+        named = np.concatenate([_named(*pair, space) for pair in zip(parts, corners, strict=True)])
         source = "the names of its parts or joints" if named.any() else "its outline"
         chosen = np.flatnonzero(named if named.any() else ~named)
         head = _above_neck(surface.sampled(1 << 15, chosen)[0])
@@ -140,12 +137,10 @@ def words_of(name: str) -> list[str]:
 def _named(part: Part, corners: Float, space: Space) -> NDArray[np.bool_]:
     """Return a mask of a part's triangles that belong to a head by the names in the mesh file.
     Joints restrict named parts, because a part may be a whole body."""
-    hair = not _HAIR_WORDS.isdisjoint(words_of(part.name))
-    if part.head is None or hair:
+    if part.head is None or not _HAIR_WORDS.isdisjoint(words_of(part.name)):
         return np.full(len(corners), names_head(part.name))
     low, high = space.normalised(part.head)
-    overlaps = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
-    return np.asarray(overlaps.all(axis=1))
+    return np.asarray(((corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)).all(axis=1))
 
 
 def _above_neck(points: Float) -> Float | None:
@@ -157,14 +152,12 @@ def _above_neck(points: Float) -> Float | None:
         return None
     step = extent / _ROWS
     rows = ((y.max() - y) / step).astype(np.int64).clip(0, _ROWS - 1)
-    sizes = []
-    for column in (x, z):
-        low, high = np.full(_ROWS, np.inf), np.full(_ROWS, -np.inf)
-        np.minimum.at(low, rows, column)
-        np.maximum.at(high, rows, column)
-        sizes.append(np.where(high > low, high - low, 0.0))
-    wide, largest, narrowest, neck = sizes[0], 0.0, np.inf, -1
-    for row, length in enumerate(np.sqrt(sizes[0] * sizes[1])):
+    ends = np.full((4, _ROWS), -np.inf)
+    for end, column in zip(ends, (x, -x, z, -z), strict=True):
+        np.maximum.at(end, rows, column)
+    wide, deep = (ends[::2] + ends[1::2]).clip(0.0)
+    largest, narrowest, neck = 0.0, np.inf, -1
+    for row, length in enumerate(np.sqrt(wide * deep)):
         height = (row + 1) * step
         if height < _HEADS[0] * largest or (length > largest and narrowest > _NECK * largest):
             if height > largest > 0.0 and wide[row] > _SHOULDERS * np.median(wide[: row + 1]):
@@ -190,10 +183,9 @@ def _has_nose(head: Float) -> bool:
     for front, (near, far) in zip(fronts, ((0.0, 0.4), (0.7, 1.3)), strict=True):
         inside = (np.abs(x - middle) >= near * side) & (np.abs(x - middle) <= far * side)
         np.maximum.at(front, rows[inside], z[inside])
-    front, beside = fronts[:, np.isfinite(fronts).all(axis=0)]
-    front, beside = (
-        column[len(front) * 3 // 10 : len(front) * 4 // 5] for column in (front, beside)
-    )
+    fronts = fronts[:, np.isfinite(fronts).all(axis=0)]
+    count = fronts.shape[1]
+    front, beside = fronts[:, count * 3 // 10 : count * 4 // 5]
     if not len(front) or side < 1e-6:
         return False
     ridge = (front - beside) / side

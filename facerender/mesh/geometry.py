@@ -7,24 +7,26 @@ that value."""
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, parameters
-from facerender.mesh.arrays import Corners
+from facerender.errors import InputError, check_range, check_type, clipped, parameters, shown, warn
 from facerender.mesh.framing import Framing, framing_of
-from facerender.mesh.part import Part, Space, used
-from facerender.mesh.repair import are_closed
-from facerender.mesh.setup import TriangleSetup
+from facerender.mesh.part import Float, Part, Space, used
+from facerender.mesh.repair import joined, stacked
+from facerender.mesh.setup import TriangleSetup, face_normals
 from facerender.values.ranges import Range, check_fields, ranged
-from facerender.values.vectors import MOST_RADII, unit
+from facerender.values.vectors import MOST_RADII, ROTATIONS, SHAPE_WEIGHTS, unit
 
-Floats = NDArray[np.float64]
+if TYPE_CHECKING:
+    from facerender.mesh.rig import Clip, Moves, Rig
+
+_Rows = list[Float | None]
 
 
 class Latest(dict[Any, Any]):
@@ -35,6 +37,50 @@ class Latest(dict[Any, Any]):
         if name not in self or self[name][0] != value:
             self[name] = value, make()
         return self[name][1]
+
+
+@dataclass(frozen=True, eq=False)
+class Corners:
+    """The corners of a mesh's faces, sorted by vertex.
+
+    faces : (3, F) vertex indices; the vertices of all parts are numbered consecutively
+    order : (3 F,) index of each corner's face
+    starts : (G,) first corner of each group of vertices that share a normal
+    groups : (N,) group of each vertex
+    """
+
+    faces: NDArray[np.int64]
+    order: NDArray[np.int64]
+    starts: NDArray[np.int64]
+    groups: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, parts: Sequence[Part]) -> Corners:
+        """Return the corners of a mesh in the reference pose."""
+        _, joint, welded, _ = stacked(parts)
+        normals = np.concatenate([part.normals for part in parts])
+        # Vertices at one position share a group if their normals are nearly equal.
+        groups, remaining, count = np.empty_like(welded), np.arange(len(welded)), 0
+        while len(remaining):
+            _, first, group = np.unique(welded[remaining], return_index=True, return_inverse=True)
+            rows = normals[remaining]
+            like = np.einsum("ij,ij->i", rows, rows[first[group]]) > 0.999
+            like[first] = True
+            groups[remaining[like]] = count + group[like]
+            remaining, count = remaining[~like], count + len(first)
+        corners = groups[joint].ravel()
+        order = np.argsort(corners, kind="stable")
+        used_groups, starts = np.unique(corners[order], return_index=True)
+        dense = np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1)
+        return cls(np.ascontiguousarray(joint.T), order // 3, starts, dense)
+
+    def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
+        """Return, for each vertex of each part with positions (N, 3), the sum of the normals of its
+        faces, weighted by their areas. Vertices that share position and normal in the reference
+        pose share the sum."""
+        _, normals = face_normals(np.ascontiguousarray(np.concatenate(positions).T), self.faces)
+        sums = [np.add.reduceat(column[self.order], self.starts)[self.groups] for column in normals]
+        return np.split(np.stack(sums, axis=1), np.cumsum([*map(len, positions)])[:-1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +103,12 @@ class Geometry:
 
     name: str
     parts: tuple[Part, ...]
-    bounds: Floats
+    bounds: Float
     radius: float
-    profile: Floats
+    profile: Float
     millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
     known_framing: Framing | None = None
-    rotation: Floats | None = None
+    rotation: Float | None = None
     gloss: tuple[Any, ...] | None = None
 
     __getstate__ = parameters
@@ -73,13 +119,18 @@ class Geometry:
     @classmethod
     def of(cls, name: str, parts: Sequence[Part], millimetres: float | None = None) -> Geometry:
         """Return the geometry of parts, whose face indices must be valid."""
-        vertices = [part.positions[used(part.positions, part.faces)] for part in parts]
-        joined = np.concatenate(vertices)
-        bounds = np.array([joined.min(axis=0), joined.max(axis=0)])
-        offsets = joined - bounds.mean(axis=0)
+        vertices = np.concatenate([p.positions[used(p.positions, p.faces)] for p in parts])
+        bounds = np.array([vertices.min(axis=0), vertices.max(axis=0)])
+        offsets = vertices - bounds.mean(axis=0)
         radius = float(np.linalg.norm(offsets, axis=1).max())
+        # The outermost vertex in each of at most 511 horizontal slices is in the profile.
+        x, heights, z = (offsets / radius).T
+        widths, slices = np.hypot(x, z), np.round(heights * 255.0).astype(np.int64)
+        order = np.lexsort((widths, slices))
+        widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
+        profile = np.stack([widths[widest], heights[widest]], axis=1)
         within = tuple(part.within(bounds) for part in parts)
-        return cls(name, within, bounds, radius, _profile(offsets / radius), millimetres)
+        return cls(name, within, bounds, radius, profile, millimetres)
 
     @cached_property
     def space(self) -> Space:
@@ -99,8 +150,7 @@ class Geometry:
     @property
     def shapes(self) -> tuple[str, ...]:
         """Names of the morph targets."""
-        rigs = (part.rig for part in self.parts)
-        return tuple(dict.fromkeys(shape.name for rig in rigs if rig for shape in rig.shapes))
+        return tuple(dict.fromkeys(s.name for p in self.parts if p.rig for s in p.rig.shapes))
 
     @cached_property
     def corners(self) -> Corners:
@@ -108,14 +158,9 @@ class Geometry:
         return Corners.of(self.parts)
 
     @cached_property
-    def mean_normals(self) -> list[Floats]:
+    def mean_normals(self) -> list[Float]:
         """Mean face normals around each vertex as unit vectors, (N, 3) for each part."""
         return [*map(unit, self.corners.normal_sums([part.positions for part in self.parts]))]
-
-    @cached_property
-    def closed(self) -> list[bool]:
-        """For each part, whether it belongs to closed surfaces, see :func:`are_closed`."""
-        return are_closed(self.parts)
 
     @cached_property
     def setups(self) -> list[TriangleSetup]:
@@ -139,7 +184,7 @@ class MeshPose:
 
     geometry: Geometry
     parts: tuple[Part, ...]
-    bounds: Floats
+    bounds: Float
 
     __getstate__ = parameters
 
@@ -181,11 +226,168 @@ class MeshPose:
         ]
 
 
-def _profile(positions: Floats) -> Floats:
-    """Return a mesh's profile: distance from the axis and height of the outermost vertex in
-    each of at most 511 horizontal slices."""
-    widths, heights = np.hypot(positions[:, 0], positions[:, 2]), positions[:, 1]
-    slices = np.round(heights * 255.0).astype(np.int64)
-    order = np.lexsort((widths, slices))
-    widest = order[np.diff(slices[order], append=slices.max() + 1) > 0]
-    return np.stack([widths[widest], heights[widest]], axis=1)
+def are_closed(parts: Sequence[Part]) -> list[bool]:
+    """Return, for each part, whether no back face of it is visible from outside.
+
+    These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
+    surface may have several parts.
+    """
+    positions, faces, welded, _ = stacked(parts)
+    owners = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
+    corners, places = welded[faces], positions[faces]
+    a, b = corners.ravel(), corners[:, [1, 2, 0]].ravel()
+    keys = np.minimum(a, b) * (int(corners.max()) + 1) + np.maximum(a, b)
+    _, edges = np.unique(keys, return_inverse=True)
+    # Faces traverse an edge equally often in both directions, except at holes.
+    at_hole = (np.bincount(edges, np.sign(b - a)) != 0.0)[edges].reshape(-1, 3).any(axis=1)
+    users = np.unique(corners.ravel() * len(parts) + np.repeat(owners, 3))
+    vertices, numbers = np.divmod(users, len(parts))
+    pairs = np.stack([numbers[:-1], numbers[1:]], axis=1)[vertices[:-1] == vertices[1:]]
+    label = joined(pairs, len(parts))
+    volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
+    inwards = np.bincount(label[owners], volumes, len(parts)) < 0.0
+    has_hole = np.bincount(label[owners], at_hole, len(parts)) > 0.0
+    return list((~inwards & ~has_hole)[label])
+
+
+def clips_of(parts: Sequence[Part]) -> tuple[Clip, ...]:
+    """Return the clips of a mesh's file, also the damaged ones."""
+    return next((part.rig.skeleton.clips for part in parts if part.rig), ())
+
+
+def unit_or(normals: Float, others: Float) -> Float:
+    """Return vectors (N, 3) scaled to length 1; vectors of length 0 are replaced by others."""
+    squares = np.einsum("ij,ij->i", normals, normals)
+    if not ((squares > 1e-200) & (squares < 1e200)).all():
+        largest = np.abs(normals).max(axis=1, keepdims=True)
+        normals = np.where(largest > 0.0, normals / np.where(largest > 0.0, largest, 1.0), others)
+        squares = np.einsum("ij,ij->i", normals, normals)
+    return np.asarray(normals / np.sqrt(squares)[:, None])
+
+
+@np.errstate(all="ignore")  # MeshPose refuses positions that cause overflow
+def posed(
+    rest: Geometry,
+    weights: Mapping[str, float] | None,
+    joints: Mapping[str, Sequence[float]] | None,
+    clip: str | None,
+    time: float | None,
+) -> tuple[_Rows, _Rows]:
+    """Return positions and normals of each part of a mesh in a pose; None for a part in its stored
+    pose. The normals have any length. For the pose see :meth:`Mesh.with_pose`."""
+    skeleton = next((part.rig.skeleton for part in rest.parts if part.rig), None)
+    if skeleton is None:
+        remedy = "give a glTF file with a rig, or leave out the pose"
+        raise InputError(f"{rest.name} has no shapes, clips or joints: {remedy}")
+    known = dict(skeleton.joints)
+    overrides = _checked(rest, "weights", weights, rest.shapes)
+    rotations = _checked(rest, "joints", joints, [*known])
+    selected = _clip(rest, skeleton.clips, clip, time)
+    moves: dict[int, dict[str, Sequence[float]]] = {}
+    if selected is not None:
+        moves = selected.at(0.0 if time is None else float(time))
+        if selected.ignored:
+            name = shown(selected.name)
+            warn(f"clip {name} of {rest.name} has channels of {selected.ignored}: ignored")
+    for name, angles in rotations.items():
+        if any(angles):
+            moves.setdefault(known[name], {})["angles"] = angles
+    return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
+
+
+def _checked(
+    geometry: Geometry, option: str, values: Mapping[str, Any] | None, known: Sequence[str]
+) -> dict[str, Any]:
+    """Return checked weights, keyed by shape, or joints, keyed by name."""
+    noun, label = ("shape", "weight of") if option == "weights" else ("joint", "joint")
+    limits = SHAPE_WEIGHTS if option == "weights" else ROTATIONS
+    check_type(option, values, Mapping | None, f"a mapping from names of {noun}s to numbers")
+    for name in values or {}:
+        if name not in known:
+            names = _known(f"{noun}s", known)
+            raise InputError(f"{geometry.name} has no {noun} {shown(name)}: {names}")
+    return {n: limits.check(f"{label} {shown(n)}", value) for n, value in (values or {}).items()}
+
+
+def _known(kind: str, names: Sequence[str]) -> str:
+    return f"its {kind} are {clipped(', '.join(names), 300)}" if names else f"it has no {kind}"
+
+
+def _clip(
+    geometry: Geometry, clips: Sequence[Clip], name: str | None, time: float | None
+) -> Clip | None:
+    """Return the clip of a name, or the first clip if only a time is given."""
+    if name is None and time is None:
+        return None
+    check_type("clip", name, str | None, "the name of a clip")
+    matches = [clip for clip in clips if name in (None, clip.name)]
+    if not matches:
+        problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
+        known = _known("clips", [clip.name for clip in clips])
+        raise InputError(f"{problem}, which {geometry.name} lacks: {known}")
+    clip = matches[0]
+    label = f"clip {shown(clip.name)}"
+    if clip.fault:
+        raise InputError(f"{label} of {geometry.name} is damaged ({clip.fault}); export it again")
+    if time is not None:
+        check_range(f"time of {label}", time, 0.0, clip.duration)
+    return clip
+
+
+def _evaluated(
+    geometry: Geometry, worlds: Mapping[int, Float], overrides: Mapping[str, float], moves: Moves
+) -> tuple[_Rows, _Rows]:
+    positions: _Rows = [None] * len(geometry.parts)
+    normals, behind = [*positions], dict[int, Float]()
+    turned_nodes = any(node_moves.keys() - {"weights"} for node_moves in moves.values())
+    for number, part in enumerate(geometry.parts):
+        if (rig := part.rig) is not None:
+            clip_weights = moves.get(rig.node, {}).get("weights", rig.weights)
+            pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(rig.shapes)], strict=False)
+            weights = tuple(float(overrides.get(shape.name, weight)) for shape, weight in pairs)
+            if turned_nodes or weights != rig.weights:
+                positions[number], normals[number] = _posed(geometry, part, rig, worlds, weights)
+            if (lagging := rig.lagging(weights)) != weights:
+                behind[number] = part.positions
+                if turned_nodes or lagging != rig.weights:
+                    behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
+    return positions, _following(geometry, positions, behind, normals) if behind else normals
+
+
+def _posed(
+    geometry: Geometry, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
+) -> tuple[Float, Float]:
+    """Return positions and normals of a part. A normal that is not finite becomes 0."""
+    try:
+        places, normals = rig.posed(worlds, weights)
+    except ValueError as error:
+        name = geometry.name
+        raise InputError(f"a shape of {name} is damaged ({error}); export it again") from None
+    if normals is None:
+        return places, part.normals
+    if not np.isfinite(normals).all():
+        normals[~np.isfinite(normals).all(axis=1)] = 0.0
+    return places, normals
+
+
+def _following(
+    geometry: Geometry, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
+) -> _Rows:
+    """Return normals that follow shapes without own normals. A normal changes by the difference of
+    the face normals around its position with and without these shapes.
+
+    behind : positions of the same pose in which these shapes have their stored weights, keyed by
+        the part's index; other parts have the same positions
+    """
+    pairs = zip(geometry.parts, positions, strict=True)
+    moved = [part.positions if places is None else places for part, places in pairs]
+    lagging = [behind.get(number, places) for number, places in enumerate(moved)]
+    stays = all(rows is part.positions for rows, part in zip(lagging, geometry.parts, strict=True))
+    means = geometry.mean_normals if stays else map(unit, geometry.corners.normal_sums(lagging))
+    new_means = map(unit, geometry.corners.normal_sums(moved))
+    new_normals: _Rows = []
+    for part, normal, before, after in zip(geometry.parts, normals, means, new_means, strict=True):
+        step = after - before
+        base = part.normals if normal is None else normal
+        new_normals.append(None if normal is None and not step.any() else unit(base) + step)
+    return new_normals

@@ -1,6 +1,7 @@
 """Hints: probable mistakes in a mesh or scene. Each function returns one line with the remedy, or
 None if nothing indicates a mistake. A wrong hint costs more than a missing one, so each
-function requires clear evidence."""
+function requires clear evidence. Maps that are not decoded yet are examined only if ``decode`` is
+true: the functions then decode them."""
 
 from __future__ import annotations
 
@@ -14,13 +15,12 @@ from facerender.errors import InputError, clipped, note, warn
 from facerender.material import Material
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import Mesh, blends_only, coordinates, largest_opacity
-from facerender.mesh.part import Part
+from facerender.mesh.part import Float, Part
 from facerender.mesh.repair import double_areas
 from facerender.texture.texture import Texture
 from facerender.values.ranges import range_of
 from facerender.values.vectors import axis_of, upright_of
 
-Float = NDArray[np.float64]
 _Pieces = Sequence[tuple[Part, Float]]
 
 # Distance between the eyes in mm: mean of adults, and range from small children to the largest
@@ -48,16 +48,14 @@ def emit_framing(mesh: Mesh, frame: str) -> None:
 
 
 def emit_all(mesh: Mesh) -> None:
-    """Emit the hints on the materials of a mesh; see :func:`emit`. Maps that are not decoded yet
-    are not examined."""
-    for hint, line in mesh.geometry.derived.of(
-        "hints", mesh.materials, lambda: _of_materials(mesh)
-    ):
+    """Emit the hints on the materials of a mesh, without decoding maps; see :func:`emit`."""
+    derived = mesh.geometry.derived
+    for hint, line in derived.of("hints", mesh.materials, lambda: _of_materials(mesh)):
         emit(mesh, hint, line)
 
 
-def _of_materials(mesh: Mesh) -> list[tuple[Callable[..., str | None], str]]:
-    """Return the hints on the materials of a mesh that are not None, with their functions."""
+def _of_materials(mesh: Mesh) -> list[tuple[Callable[..., str | None], str | None]]:
+    """Return the hints on the materials of a mesh, with their functions."""
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
     of_maps = upside_down, green_down
     lines: list[tuple[Callable[..., str | None], str | None]] = [
@@ -67,7 +65,7 @@ def _of_materials(mesh: Mesh) -> list[tuple[Callable[..., str | None], str]]:
     gloss = mesh.geometry.gloss
     if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
         lines.append((faint, faint(mesh)))
-    return [(hint, line) for hint, line in lines if line is not None]
+    return lines
 
 
 def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
@@ -81,9 +79,8 @@ def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
 
 def of_mesh(mesh: Mesh) -> list[str]:
     """Return all hints on a mesh. Decodes the maps."""
-    of_maps = upside_down(mesh, True), green_down(mesh, True)
     others = no_ks(mesh), faint(mesh, True), turned(mesh), wrong_unit(mesh)
-    return [hint for hint in (*of_maps, *others) if hint]
+    return [hint for hint in (upside_down(mesh, True), green_down(mesh, True), *others) if hint]
 
 
 def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
@@ -92,21 +89,25 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
     Three properties of a map are compared between the coordinates and the same coordinates with
     reversed v. The detail of the map correlates with the curvature of the mesh, because eyes, nose
     and lips have both. The two sides of a seam have equal colours. The mesh covers little of the
-    map's uniform background. The first two can give the hint; all three can refute it.
-
-    decode : whether to decode maps that are not decoded yet; default false
-    """
-    best = 0.0, 0.0
-    for texture, pieces in _mapped(mesh).items():
+    map's uniform background. The first two can give the hint; all three can refute it."""
+    # Opaque parts with texture coordinates, keyed by albedo map or, without one, by normal map
+    pieces_by_texture: dict[Texture, list[tuple[Part, Float]]] = {}
+    for part, material in zip(mesh.parts, mesh.materials, strict=True):
+        name = "albedo_map" if material.albedo_map else "normal_map"
+        texture, uv = getattr(material, name), coordinates(part, material, name)
+        if texture and uv is not None and material.alpha == "opaque":
+            pieces_by_texture.setdefault(texture, []).append((part, uv))
+    best: Sequence[float] = (0.0, 0.0)
+    for texture, pieces in pieces_by_texture.items():
         image = _preview(texture, _MAP, decode)
         few = sum(len(part.faces) for part, _ in pieces) < 200
         if few or image is None or min(image.shape[:2]) < 32:
             continue
-        for original, reverse in _agreements(pieces, image):
-            if original > reverse:
+        for agreement in _agreements(pieces, image):
+            if agreement[0] > agreement[1]:
                 return None
-            best = max(best, (original, reverse), key=lambda pair: pair[1] - pair[0])
-    if best == (0.0, 0.0):
+            best = max(best, agreement, key=lambda pair: pair[1] - pair[0])
+    if not any(best):
         return None
     return (
         f"the texture coordinates of {mesh.name} are probably upside down (agreement with the "
@@ -115,19 +116,7 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
     )
 
 
-def _mapped(mesh: Mesh) -> dict[Texture, list[tuple[Part, Float]]]:
-    """Return the opaque parts with texture coordinates, keyed by their albedo map or, without
-    one, by their normal map."""
-    pieces_by_texture: dict[Texture, list[tuple[Part, Float]]] = {}
-    for part, material in zip(mesh.parts, mesh.materials, strict=True):
-        name = "albedo_map" if material.albedo_map else "normal_map"
-        texture, uv = getattr(material, name), coordinates(part, material, name)
-        if texture and uv is not None and material.alpha == "opaque":
-            pieces_by_texture.setdefault(texture, []).append((part, uv))
-    return pieces_by_texture
-
-
-def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[tuple[float, float]]:
+def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[Sequence[float]]:
     """Yield clearly different agreements of mesh and map: as given, and with reversed v."""
     faces = _sample(pieces)
     original, reverse = detail = _detail(faces, image)
@@ -141,7 +130,7 @@ def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[tuple[flo
         yield 1.0 - original, 1.0 - reverse
 
 
-def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
+def _sample(pieces: _Pieces) -> list[Float]:
     """Return the texture coordinates (F, 2) of the centres of some faces, the areas of the faces,
     and their curvature: difference of the vertex normals / size of the face."""
     step = -(-sum(len(part.faces) for part, _ in pieces) // _FACES) or 1
@@ -153,11 +142,10 @@ def _sample(pieces: _Pieces) -> tuple[Float, Float, Float]:
         a, b, c = (part.normals[corner] for corner in faces.T)
         turns = sum(np.sqrt(((i - j) ** 2).sum(axis=1)) for i, j in ((a, b), (b, c), (c, a)))
         samples.append((uv[faces].sum(axis=1) / 3.0, area, turns / np.sqrt(area)))
-    centers, areas, curvature = map(np.concatenate, zip(*samples, strict=True))
-    return centers, areas, curvature
+    return [*map(np.concatenate, zip(*samples, strict=True))]
 
 
-def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+def _detail(faces: Sequence[Float], image: NDArray[np.uint8]) -> Sequence[float]:
     """Return the rank correlation of the map's detail with the curvature, and the same with
     reversed v."""
     centers, _, curvature = faces
@@ -166,8 +154,7 @@ def _detail(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tupl
     detail, ranks = _contrast(image), _ranks(curvature)
     for axis in (0, 1):
         detail = detail + np.roll(detail, 1, axis) + np.roll(detail, -1, axis)
-    original, reverse = (_correlation(ranks, _ranks(_texels(detail, uv))) for uv in _both(centers))
-    return original, reverse
+    return [_correlation(ranks, _ranks(_texels(detail, uv))) for uv in _both(centers)]
 
 
 def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, float]:
@@ -186,7 +173,7 @@ def _seam_colours(pieces: _Pieces, image: NDArray[np.uint8]) -> tuple[float, flo
     return (original, reverse) if 1.3 * smaller < larger else (0.0, 0.0)
 
 
-def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> tuple[float, float]:
+def _background(faces: Sequence[Float], image: NDArray[np.uint8]) -> list[float]:
     """Return the fraction of the surface that lies on the map's background, and the same with
     reversed v. The background is the most frequent colour where it is uniform."""
     centers, areas, _ = faces
@@ -194,8 +181,7 @@ def _background(faces: tuple[Float, Float, Float], image: NDArray[np.uint8]) -> 
     colour = np.median(image[keys == np.bincount(keys.ravel()).argmax()], axis=0)
     uniform = (np.abs(image - colour).max(axis=-1) <= 6.0) & (_contrast(image) <= 12.0)
     shares = areas / (areas.sum() or 1.0)
-    original, reverse = (float(shares @ _texels(uniform, uv)) for uv in _both(centers))
-    return original, reverse
+    return [float(shares @ _texels(uniform, uv)) for uv in _both(centers)]
 
 
 def _seams(positions: Float, uv: Float) -> Float:
@@ -237,8 +223,7 @@ def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
 def _ranks(values: NDArray[Any]) -> Float:
     """Return the ranks of values, with mean 0. Equal values have equal ranks."""
     _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
-    ranks = np.cumsum(counts) - 0.5 * counts - 0.5 * len(values)
-    return np.asarray(ranks[places])
+    return np.asarray((np.cumsum(counts) - 0.5 * counts - 0.5 * len(values))[places])
 
 
 def _correlation(a: Float, b: Float) -> float:
@@ -251,10 +236,7 @@ def green_down(mesh: Mesh, decode: bool = False) -> str | None:
     """Return a hint if the green of a normal map probably points down.
 
     The slopes p and q of a height field satisfy dp/dy = dq/dx. If green points down, q is negative,
-    and the two derivatives have opposite signs.
-
-    decode : as for :func:`upside_down`
-    """
+    and the two derivatives have opposite signs."""
     for texture in dict.fromkeys(m.normal_map for m in mesh.materials if m.normal_map):
         image = _preview(texture, _NORMAL_MAP, decode)
         if image is None or min(image.shape[:2]) < 32:
@@ -282,10 +264,7 @@ def _preview(texture: Texture, side: int, decode: bool) -> NDArray[np.uint8] | N
 
 def faint(mesh: Mesh, decode: bool = False) -> str | None:
     """Return a hint if at least half of the skin has a specular weight above 0, but no visible
-    highlight. The peak of a highlight is proportional to ks f0 / m^2.
-
-    decode : as for :func:`upside_down`
-    """
+    highlight. The peak of a highlight is proportional to ks f0 / m^2."""
     skin = Material()
     threshold = 0.1 * skin.ks * skin.f0 / skin.m**2  # a highlight below it is invisible
     pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]

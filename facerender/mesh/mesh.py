@@ -7,26 +7,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatchcase
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from facerender.errors import InputError, check_type, each_of, number_of, parameters, shown, warn
 from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
-from facerender.mesh.arrays import indices_of, linear_colors, split_at_seams, unit_or
 from facerender.mesh.face import Face
-from facerender.mesh.geometry import Geometry, MeshPose
-from facerender.mesh.part import Part, Region, Space, used
-from facerender.mesh.repair import Piece, clean, unique
+from facerender.mesh.geometry import Geometry, MeshPose, are_closed, clips_of, posed, unit_or
+from facerender.mesh.part import Float, Part, Region, Space, used
+from facerender.mesh.repair import Piece, clean, indices_of, linear_colors, split_at_seams, unique
 from facerender.mesh.setup import TriangleSetup
 from facerender.values.ranges import IntegerRange
 from facerender.values.vectors import rows_of
-
-if TYPE_CHECKING:
-    from facerender.mesh.rig import Clip
-
-Floats = NDArray[np.float64]
 
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
 
@@ -83,16 +77,16 @@ class Mesh:
         def sided(material: Material, closed: bool) -> Material:
             return replace(material, double_sided=not closed)
 
-        pairs = enumerate(materials)
-        complete = (sided(m, geometry.closed[i]) if m.double_sided is None else m for i, m in pairs)
-        return cls(geometry, tuple(complete))
+        if any(material.double_sided is None for material in materials):
+            pairs = zip(materials, are_closed(geometry.parts), strict=True)
+            materials = [sided(m, shut) if m.double_sided is None else m for m, shut in pairs]
+        return cls(geometry, tuple(materials))
 
     @classmethod
     def assembled(cls, pieces: Sequence[Piece], name: str, millimetres: float | None) -> Mesh:
         """Return a mesh of pieces that :func:`facerender.mesh.repair.clean` has repaired. A
         piece without a name is numbered, unless it is the only one: the third is ``part3``."""
-        several = len(pieces) > 1
-        names = (piece.name or f"part{i}" * several for i, piece in enumerate(pieces, 1))
+        names = (piece.name or f"part{i}" * (len(pieces) > 1) for i, piece in enumerate(pieces, 1))
         parts = []
         for piece, part_name in zip(pieces, unique(names), strict=True):
             values: dict[str, Any] = {f.name: getattr(piece, f.name, None) for f in fields(Part)}
@@ -177,29 +171,26 @@ class Mesh:
         ------
         InputError : no part matches a name, or no part remains
         """
-        remaining = sorted(self._chosen(parts) - self._named("hide", hide))
+        chosen = self._named("parts", parts) or {*range(len(self.parts))}
+        remaining = sorted(chosen - self._named("hide", hide))
         if not remaining:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(remaining) == len(self.parts):
             return self
         stored = [self.geometry.parts[i] for i in remaining]
-        materials = [self.materials[i] for i in remaining]
-        mesh = Mesh.of(self.name, stored, materials, self.millimetres)
+        mesh = Mesh.of(self.name, stored, [self.materials[i] for i in remaining], self.millimetres)
         geometry = replace(mesh.geometry, rotation=self.geometry.rotation)
-        posed = tuple(self.parts[i] for i in remaining)
-        pose = self.pose and MeshPose(geometry, posed, geometry.bounds)
+        moved_parts = tuple(self.parts[i] for i in remaining)
+        pose = self.pose and MeshPose(geometry, moved_parts, geometry.bounds)
         return Mesh(geometry, mesh.materials, pose)
 
     def _named(self, option: str, names: str | Iterable[str]) -> set[int]:
         return {i for name in names_of(option, names) for i in self.called(name)}
 
-    def _chosen(self, names: str | Iterable[str]) -> set[int]:
-        return self._named("parts", names) or {*range(len(self.parts))}
-
     def called(self, name: str) -> list[int]:
         """Return the indices of the parts that match a name."""
-        names = enumerate(part.name for part in self.parts)
-        matches = [i for i, other in names if other == name or fnmatchcase(other, name)]
+        parts = enumerate(self.parts)
+        matches = [i for i, p in parts if p.name == name or fnmatchcase(p.name, name)]
         if not matches:
             raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
         return matches
@@ -220,7 +211,7 @@ class Mesh:
         return (self.pose or self.geometry).parts
 
     @property
-    def bounds(self) -> Floats:
+    def bounds(self) -> Float:
         """Lowest and highest coordinates in the reference pose, (2, 3) float64."""
         return (self.pose or self.geometry).bounds
 
@@ -230,7 +221,7 @@ class Mesh:
         return self.geometry.radius
 
     @property
-    def profile(self) -> Floats:
+    def profile(self) -> Float:
         """Outline of the mesh; see :class:`Geometry`."""
         return self.geometry.profile
 
@@ -273,15 +264,15 @@ class Mesh:
         return tuple(indices or range(len(self.parts)))
 
     @property
-    def center(self) -> Floats:
+    def center(self) -> Float:
         """Centre of the bounds, (3,) float64."""
         return np.array(self.space.center)
 
-    def normalised(self, points: ArrayLike) -> Floats:
+    def normalised(self, points: ArrayLike) -> Float:
         """Map points (..., 3) from mesh space to the renderer's space: centre at 0, radius 1."""
         return self.space.normalised(points)
 
-    def to_mesh_space(self, points: ArrayLike) -> NDArray[np.float64]:
+    def to_mesh_space(self, points: ArrayLike) -> Float:
         """Map points (..., 3), such as ``View.position``, from the renderer's space to mesh space.
 
         ``Part.positions`` and ``GBuffer.position`` are in mesh space already."""
@@ -308,7 +299,7 @@ class Mesh:
         InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
         table = changes if preset is None else {"preset": preset, **changes}
-        return self._changed(self._chosen(parts), table)
+        return self._changed(self._named("parts", parts) or range(len(self.parts)), table)
 
     def with_skin(self, **changes: Any) -> Mesh:
         """Return a copy of the mesh in which ``changes`` replace fields of the skin's materials;
@@ -376,8 +367,7 @@ class Mesh:
     def joints(self) -> tuple[str, ...]:
         """Names of the joints of a glTF file's skins, parents first: ``joint1``, ``joint2``... if
         they have none."""
-        skeletons = (part.rig.skeleton for part in self.parts if part.rig)
-        return next((tuple(dict(skeleton.joints)) for skeleton in skeletons), ())
+        return next((tuple(dict(p.rig.skeleton.joints)) for p in self.parts if p.rig), ())
 
     def with_pose(
         self,
@@ -412,18 +402,10 @@ class Mesh:
         FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
             the mesh has baked occlusion, see :meth:`with_positions`
         """
-        from facerender.mesh.pose import posed  # only for poses: importing it takes 5 ms
-
-        poses = posed(self.geometry, weights, joints, clip, time)
-        return moved(replace(self, pose=None), *poses)
+        return moved(replace(self, pose=None), *posed(self.geometry, weights, joints, clip, time))
 
 
-def clips_of(parts: Iterable[Part]) -> tuple[Clip, ...]:
-    """Return the clips of a mesh's file, also the damaged ones."""
-    return next((part.rig.skeleton.clips for part in parts if part.rig), ())
-
-
-def coordinates(part: Part, material: Material, name: str) -> NDArray[np.float64] | None:
+def coordinates(part: Part, material: Material, name: str) -> Float | None:
     """Return a part's texture coordinates for the named map; None: the map is ignored."""
     return part.uv2 if material.by_second(name) else part.uv
 
@@ -481,7 +463,7 @@ def names_of(option: str, names: Any) -> tuple[str, ...]:
     return tuple(name for text in texts if (name := text.strip()))
 
 
-def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
+def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Float | None]:
     """Return the rows (N, 3) of each part; None for a part without rows. For the accepted values
     and the errors see :meth:`Mesh.with_positions`."""
     parts = mesh.parts
@@ -503,7 +485,7 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Floats | None]:
     ]
 
 
-def _split(name: str, array: Any, parts: Sequence[Part], owner: str) -> list[Floats]:
+def _split(name: str, array: Any, parts: Sequence[Part], owner: str) -> list[Float]:
     """Return the rows of an array for each part. The array has a row for each vertex of all parts
     in order, or for each vertex of their file."""
     rows = rows_of(name, array, (3,))
@@ -519,7 +501,7 @@ def _split(name: str, array: Any, parts: Sequence[Part], owner: str) -> list[Flo
 
 
 @np.errstate(all="ignore")  # MeshPose refuses positions that cause overflow
-def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floats | None]) -> Mesh:
+def moved(mesh: Mesh, positions: Sequence[Float | None], normals: Sequence[Float | None]) -> Mesh:
     """Return a mesh with moved vertices; see :meth:`Mesh.with_positions`.
 
     positions : finite positions (N, 3) of each part; None for a part that stays as it is
@@ -535,8 +517,7 @@ def moved(mesh: Mesh, positions: Sequence[Floats | None], normals: Sequence[Floa
     if any(rows is not None and n is None for rows, n in zip(positions, normals, strict=True)):
         sums = geometry.corners.normal_sums(filled)
     parts = [*mesh.parts]
-    for i, stored in enumerate(geometry.parts):
-        normal = normals[i]
+    for i, (stored, normal) in enumerate(zip(geometry.parts, normals, strict=True)):
         if positions[i] is not None or normal is not None:
             mask = stored.drawn
             rows = filled[i] if mask is None else np.where(mask, filled[i], mesh.center)

@@ -70,8 +70,7 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     baked = [values if lacks else None for values, lacks in zip(occlusions, bare, strict=True)]
 
     def with_baked(parts: tuple[Part, ...]) -> tuple[Part, ...]:
-        pairs = zip(parts, baked, strict=True)
-        return tuple(replace(part, occlusion=values) for part, values in pairs)
+        return tuple(replace(p, occlusion=values) for p, values in zip(parts, baked, strict=True))
 
     geometry = replace(mesh.geometry, parts=with_baked(mesh.geometry.parts))
     pose = mesh.pose and replace(mesh.pose, geometry=geometry, parts=with_baked(mesh.parts))
@@ -114,12 +113,17 @@ def _open_fraction(
     TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
     offsets = _off_surface(positions, faces, vertices, corners)
     starts = vertices[:, :3] + np.float32(_OFFSET) * offsets
+    # Unit vectors, evenly distributed on a golden-ratio spiral
+    numbers = np.arange(DIRECTIONS) + 0.5
+    heights = 1.0 - 2.0 * numbers / DIRECTIONS
+    angles, radii = numbers * (np.pi * (3.0 - np.sqrt(5.0))), np.sqrt(1.0 - heights**2)
+    spiral = np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
     fractions = []
     for first in range(0, len(vertices), _AT_ONCE):
         rows = slice(first, first + _AT_ONCE)
         origins, normals = starts[rows], vertices[rows, 3:]
         through, total = np.zeros((2, len(origins)))
-        for direction in _directions():
+        for direction in spiral.astype(np.float32):
             cosines = normals @ direction
             above = cosines > 0.0
             towards = np.tile(direction, (int(above.sum()), 1))
@@ -143,13 +147,3 @@ def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: N
     normals = vertices[:, 3:]
     sums -= normals * np.einsum("ij,ij->i", normals, sums)[:, None]
     return (normals + sums / np.maximum(lengths, 1e-30)[:, None]).astype(np.float32)
-
-
-def _directions() -> Floats:
-    """Return unit vectors (DIRECTIONS, 3), evenly distributed on a golden-ratio spiral."""
-    numbers = np.arange(DIRECTIONS) + 0.5
-    heights = 1.0 - 2.0 * numbers / DIRECTIONS
-    angles = numbers * (np.pi * (3.0 - np.sqrt(5.0)))
-    radii = np.sqrt(1.0 - heights**2)
-    spiral = np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
-    return spiral.astype(np.float32)

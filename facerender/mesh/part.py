@@ -13,8 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
 
+Float = NDArray[np.float64]
 
-def used(positions: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.bool_]:
+
+def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
     """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
     mask = np.zeros(len(positions), dtype=bool)
     mask[faces] = True
@@ -33,7 +35,7 @@ class Space(NamedTuple):
     radius: float
     reach: float = 1.0
 
-    def normalised(self, points: ArrayLike) -> NDArray[np.float64]:
+    def normalised(self, points: ArrayLike) -> Float:
         """Map points (..., 3) from mesh space. Computes in float64: in float32, large offsets and
         small units would lose precision."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
@@ -64,14 +66,14 @@ class Part:
     ks_ignored : whether the part's MTL file has Ks 0, which was loaded as ks 1
     """
 
-    positions: NDArray[np.float64]
-    normals: NDArray[np.float64]
+    positions: Float
+    normals: Float
     faces: NDArray[np.uint32]
-    uv: NDArray[np.float64] | None = None
-    colors: NDArray[np.float64] | None = None
-    occlusion: NDArray[np.float64] | None = None
-    uv2: NDArray[np.float64] | None = None
-    head: NDArray[np.float64] | None = None
+    uv: Float | None = None
+    colors: Float | None = None
+    occlusion: Float | None = None
+    uv2: Float | None = None
+    head: Float | None = None
     name: str = ""
     skin: bool = True
     sources: NDArray[np.integer] | None = None
@@ -81,8 +83,7 @@ class Part:
     ks_ignored: bool = False
 
     def __repr__(self) -> str:
-        names = ("uv", "uv2", "colors", "occlusion")
-        has = [name for name in names if getattr(self, name) is not None]
+        has = [n for n in ("uv", "uv2", "colors", "occlusion") if getattr(self, n) is not None]
         counts = f"{len(self.positions)} vertices, {len(self.faces)} triangles"
         return f"<Part {', '.join([repr(self.name), counts, *has])}>"
 
@@ -99,7 +100,7 @@ class Part:
         with np.errstate(over="ignore"):  # a pose may exceed float32
             return zlib.crc32(self.positions.astype(np.float32).tobytes())
 
-    def within(self, bounds: NDArray[np.float64]) -> Part:
+    def within(self, bounds: Float) -> Part:
         """Return the part with the vertices outside the bounds moved to the bounds' centre. No face
         uses these vertices, but they could overflow in float32."""
         inside = ((self.positions >= bounds[0]) & (self.positions <= bounds[1])).all(axis=1)
@@ -117,11 +118,11 @@ class Region:
     radius, height : half the width and half the height of the cylinder
     """
 
-    center: NDArray[np.float64]
+    center: Float
     radius: float
     height: float
 
     @property
-    def profile(self) -> NDArray[np.float64]:
+    def profile(self) -> Float:
         """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])

@@ -1,4 +1,5 @@
-"""Safe repairs of mesh geometry: bad faces, missing normals, winding."""
+"""Pieces, which are parts before repair, and safe repairs of mesh geometry: bad faces, missing
+normals, winding."""
 
 from __future__ import annotations
 
@@ -7,17 +8,17 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, clipped, warn
+from facerender.images.image import srgb_to_linear
 from facerender.material import Material
-from facerender.mesh.part import Part, used
-from facerender.values.vectors import transformed
+from facerender.mesh.part import Float, Part, used
+from facerender.values.vectors import rows_of, transformed
 
 if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
 
-Float = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
@@ -132,6 +133,46 @@ def with_face_colors(piece: Piece, colors: Float) -> Piece:
     return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), colors=palette[numbers])
 
 
+def indices_of(
+    name: str, indices: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
+) -> NDArray[np.int64]:
+    """Return indices (F, 3) in [0, count) from an array or nested lists. ``kind`` names the indices
+    in messages, and ``uses`` begins the message about an invalid one."""
+    rows = rows_of(name, indices, (3,), hint)
+    if (rows != np.floor(rows)).any():
+        raise InputError(f"{name} are not whole numbers: give {kind} indices")
+    if ((rows < 0) | (rows >= count)).any():
+        bad = int(rows.min()) if (rows < 0).any() else int(rows.max())
+        raise InputError(f"{uses} {bad} of {count}: give indices from 0 on")
+    return rows.astype(np.int64)
+
+
+def split_at_seams(piece: Piece, uv: Float, indices: ArrayLike) -> Piece:
+    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses.
+
+    indices : uv_faces of :meth:`facerender.Mesh.from_arrays`
+    """
+    uv_faces = indices_of("uv_faces", indices, len(uv), "row", "uv_faces use row")
+    if len(uv_faces) != len(piece.faces):
+        remedy = f"give {len(piece.faces)}, one for each face"
+        raise InputError(f"uv_faces has {len(uv_faces)} rows: {remedy}")
+    pairs, corners = np.unique(piece.faces * len(uv) + uv_faces, return_inverse=True)
+    vertices, rows = np.divmod(pairs, len(uv))
+    return replace(with_faces(piece, corners.reshape(-1, 3), vertices), uv=uv[rows])
+
+
+def linear_colors(colors: ArrayLike, count: int) -> Float:
+    """Return linear RGB (N, 3); for the colours see :meth:`facerender.Mesh.from_arrays`."""
+    rows = rows_of("colors", colors, (3, 4), count=count)[:, :3]
+    dtype = np.asarray(colors).dtype
+    if dtype in (np.uint8, np.uint16):
+        return srgb_to_linear(rows / np.iinfo(dtype).max)
+    if rows.min() < 0.0 or rows.max() > 1.0:
+        remedy = "give linear values in [0, 1] or sRGB-encoded uint8"
+        raise InputError(f"colors range from {rows.min():.4g} to {rows.max():.4g}: {remedy}")
+    return rows
+
+
 def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
     """Drop faces that cannot be drawn, compute missing normals, and turn the faces outwards."""
     _drop_bad_faces(pieces, name)
@@ -140,8 +181,14 @@ def clean(pieces: Sequence[Piece], name: str) -> Sequence[Piece]:
         raise InputError(f"no face of {name} has a finite, non-zero area; export the mesh again")
     _drop_bad_uv(pieces, name)
     _complete_normals(pieces, name)
-
-    if _outwardness(np.concatenate([_corners(piece) for piece in pieces])) < -0.5:
+    corners = np.concatenate([_corners(piece) for piece in pieces])
+    normals = face_normals(corners)
+    areas = np.linalg.norm(normals, axis=1)
+    middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
+    outward = middles - np.average(middles, axis=0, weights=areas)
+    # The area-weighted mean cosine between face normals and directions from the mesh's centre is
+    # near 1 for a closed head or an open mask, near -1 if the mesh is inside out.
+    if (normals * outward).sum() / (areas * np.linalg.norm(outward, axis=1)).sum() < -0.5:
         warn(f"the faces of {name} are inside out: turned")
         for piece in pieces:
             piece.faces = piece.faces[:, ::-1]
@@ -171,32 +218,6 @@ def joined(groups: NDArray[np.integer], count: int) -> Integers:
     return labels
 
 
-def are_closed(parts: Sequence[Part]) -> list[bool]:
-    """Return, for each part, whether no back face of it is visible from outside.
-
-    These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
-    surface may have several parts.
-    """
-    positions, faces, welded, _ = stacked(parts)
-    owners = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    corners, places = welded[faces], positions[faces]
-    count = int(corners.max()) + 1
-    endpoints = corners, corners[:, [1, 2, 0]]
-    edges, backwards = ((a * count + b).ravel() for a, b in (endpoints, endpoints[::-1]))
-    unique_edges, kind, counts = np.unique(edges, return_inverse=True, return_counts=True)
-    index = np.searchsorted(unique_edges, backwards).clip(max=len(unique_edges) - 1)
-    turned = np.where(unique_edges[index] == backwards, counts[index], 0)
-    at_hole = (turned != counts[kind]).reshape(-1, 3).any(axis=1)
-    users = np.unique(corners.ravel() * len(parts) + np.repeat(owners, 3))
-    vertices, numbers = np.divmod(users, len(parts))
-    pairs = np.stack([numbers[:-1], numbers[1:]], axis=1)[vertices[:-1] == vertices[1:]]
-    label = joined(pairs, len(parts))
-    volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
-    inwards = np.bincount(label[owners], volumes, len(parts)) < 0.0
-    has_hole = np.bincount(label[owners], at_hole, len(parts)) > 0.0
-    return list((~inwards & ~has_hole)[label])
-
-
 def face_normals(corners: Float) -> Float:
     """Return normals of triangles (F, 3, 3). Each normal's length is twice the triangle's area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -205,16 +226,6 @@ def face_normals(corners: Float) -> Float:
 def double_areas(corners: Float) -> Float:
     """Return the doubled areas (F,) of triangles (F, 3, 3)."""
     return np.asarray(np.linalg.norm(face_normals(corners), axis=1))
-
-
-def _outwardness(corners: Float) -> float:
-    """Return the area-weighted mean cosine between face normals and directions from the mesh's
-    centre: near 1 for a closed head or an open mask, near -1 if the mesh is inside out."""
-    normals = face_normals(corners)
-    areas = np.linalg.norm(normals, axis=1)
-    middles = (corners[:, 0] + corners[:, 1] + corners[:, 2]) / 3.0
-    outward = middles - np.average(middles, axis=0, weights=areas)
-    return float((normals * outward).sum() / (areas * np.linalg.norm(outward, axis=1)).sum())
 
 
 def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
@@ -231,7 +242,8 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
             huge += int((finite & ~small).sum())
             bad_faces += _keep_faces(piece, finite[piece.faces])
             huge_faces += _keep_faces(piece, small[piece.faces])
-    _check_extent([piece for piece in pieces if len(piece.faces)], name)
+    if filled := [piece for piece in pieces if len(piece.faces)]:
+        _check_extent(filled, name)
     for piece in pieces:
         # Rounding of large coordinates (1e25) can give a cross product of 0 at one corner and not
         # at another, so both windings are tested.
@@ -258,8 +270,6 @@ def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
 def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     """Raise InputError if a mesh is too small to compute its areas; warn about outliers. If
     the camera frames outliers, the rest of the mesh is only a dot in the image."""
-    if not pieces:
-        return
     drawn = np.concatenate([p.positions[used(p.positions, p.faces)] for p in pieces])
     extent = float(np.ptp(drawn, axis=0).max())
     if 0.0 < extent < _TINY:
@@ -317,7 +327,6 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
     so that the result does not depend on the triangulation of flat polygons."""
     positions, faces, welded, starts = stacked(pieces)
     faces = _wind_consistently(faces, welded[faces], positions, name)
-
     corners = positions[faces]
     unit = face_normals(corners)
     unit /= np.linalg.norm(unit, axis=1)[:, None]
@@ -328,11 +337,9 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
         vertices = welded[faces[:, corner]]
         for axis in range(3):
             normals[:, axis] += np.bincount(vertices, angle * unit[:, axis], len(normals))
-    length = np.linalg.norm(normals, axis=1)
     # If the normals of opposite faces cancel out, an arbitrary unit vector replaces the sum.
-    normals = np.where((length > 0.0)[:, None], normals, (0.0, 0.0, 1.0))
+    normals = np.where(np.linalg.norm(normals, axis=1)[:, None] > 0.0, normals, (0.0, 0.0, 1.0))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-
     splits = np.cumsum([len(piece.faces) for piece in pieces])
     for piece, start, triangles in zip(pieces, starts, np.split(faces, splits[:-1]), strict=False):
         piece.faces = triangles - start
@@ -343,25 +350,20 @@ def _compute_normals(pieces: Sequence[Piece], name: str) -> None:
 
 def stacked(parts: Sequence[Part | Piece]) -> tuple[Float, Integers, Integers, Integers]:
     """Return the vertices and the faces of all parts, an index for each position that faces use,
-    see :func:`_weld`, and the first vertex of each part."""
+    and the first vertex of each part. Positions that are equal after rounding to about 2^-21 of the
+    mesh's extent share an index."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
     places = np.concatenate([part.positions for part in parts])
     joint = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
-    drawn = used(places, joint)
-    welded = np.zeros(len(places), dtype=np.int64)
-    welded[drawn] = _weld(places[drawn])
-    return places, joint, welded, starts
-
-
-def _weld(positions: Float) -> Integers:
-    """Return an index for each position. Positions that are equal after rounding to about 2^-21 of
-    the mesh's extent share an index."""
-    low = positions.min(axis=0)
+    mask = used(places, joint)
+    positions = places[mask]
     extent = float(np.ptp(positions, axis=0).max()) or 1.0
     # 2^21 - 2 is even, so that a plane of symmetry is rounded to the middle of a cell.
-    cells = np.round((positions - low) * ((2**21 - 2) / extent)).astype(np.int64)
+    cells = np.round((positions - positions.min(axis=0)) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    return np.asarray(np.unique(keys, return_inverse=True)[1].reshape(-1))
+    welded = np.zeros(len(places), dtype=np.int64)
+    welded[mask] = np.unique(keys, return_inverse=True)[1]
+    return places, joint, welded, starts
 
 
 def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name: str) -> Integers:
@@ -377,7 +379,6 @@ def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name
     directed = first * count + second
     if len(np.unique(directed)) == len(directed):
         return faces
-
     edge = np.minimum(first, second) * count + np.maximum(first, second)
     order = np.argsort(edge, kind="stable")
     _, start, uses = np.unique(edge[order], return_index=True, return_counts=True)
@@ -388,7 +389,6 @@ def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name
     rows = np.concatenate([face_a, face_a + n])
     columns = np.concatenate([face_b + n * disagree, face_b + n * (1 - disagree)])
     label = joined(np.stack([rows, columns], axis=1), 2 * n)
-
     corners = positions[faces]
     middle = corners.mean(axis=1)
     outward = (face_normals(corners) * (middle - middle.mean(axis=0))).sum(axis=1)

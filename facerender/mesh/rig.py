@@ -1,5 +1,5 @@
 """Rigs: the data that move the vertices of a part (morph targets, skins, nodes, animation clips),
-and poses: their checked weights, clip and time, evaluated in float64. No files are read here.
+evaluated in float64. No files are read here.
 
 Reference: Khronos (2021), glTF 2.0, sections 3.5 (nodes), 3.7.2.1 (morph targets), 3.7.3 (skins),
 3.11 and appendix C (animations)."""
@@ -63,8 +63,7 @@ class Track:
             length = float(self.times[last] - self.times[first])
             u = (time - float(self.times[first])) / length
             if cubic:
-                leaving = length * self.values[first, 2].astype(np.float64)
-                arriving = length * self.values[last, 0].astype(np.float64)
+                leaving, arriving = length * self.values[[first, last], [2, 0]].astype(np.float64)
                 mixed = (2 * u**3 - 3 * u**2 + 1) * a + (u**3 - 2 * u**2 + u) * leaving
                 mixed += (3 * u**2 - 2 * u**3) * b + (u**3 - u**2) * arriving
             elif self.path == "rotation":
@@ -287,7 +286,15 @@ def local_matrix(transforms: Mapping[str, Sequence[float] | Array]) -> Float:
     """
     local = np.eye(4)
     if "rotation" in transforms:
-        local[:3, :3] = _rotation(transforms["rotation"])
+        quaternion = [*map(float, transforms["rotation"])]
+        length = math.hypot(*quaternion)
+        if 1e-12 < length < math.inf:
+            x, y, z, w = (component / length for component in quaternion)
+            local[:3, :3] = [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
     if "scale" in transforms:
         local[:3, :3] *= np.asarray(transforms["scale"], dtype=np.float64)
     if "translation" in transforms:
@@ -295,18 +302,6 @@ def local_matrix(transforms: Mapping[str, Sequence[float] | Array]) -> Float:
     if "matrix" not in transforms:
         return local
     return np.asarray(np.array(transforms["matrix"], dtype=np.float64).reshape(4, 4).T @ local)
-
-
-def _rotation(quaternion: Sequence[float] | Array) -> list[list[float]]:
-    length = math.hypot(*map(float, quaternion))
-    if not 1e-12 < length < math.inf:
-        return [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-    x, y, z, w = (float(component) / length for component in quaternion)
-    return [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
 
 
 def morphed(
@@ -322,10 +317,8 @@ def morphed(
     for shape, weight in active:
         if shape.fault:
             raise ValueError(shape.fault)
-        for vectors, rows, moves in (
-            (places, shape.rows, shape.moves),
-            (normals, shape.normal_rows, shape.normal_moves),
-        ):
+        arrays = (places, shape.rows, shape.moves), (normals, shape.normal_rows, shape.normal_moves)
+        for vectors, rows, moves in arrays:
             if vectors is not None and rows is not None and moves is not None:
                 every = len(rows) == len(vectors)
                 vectors[... if every else rows] += np.multiply(moves, weight, dtype=np.float64)

@@ -12,10 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.mesh.arrays import face_normals
-from facerender.mesh.part import Part, Space
-
-Floats = NDArray[np.float64]
+from facerender.mesh.part import Float, Part, Space
 
 # Clip coordinates of corners whose bounds are the whole image.
 _EVERYWHERE = np.array([[x, y, 0.0, 1.0] for x in (-1.0, 1.0) for y in (-1.0, 1.0)] * 2)
@@ -44,6 +41,20 @@ class Area(NamedTuple):
         left, low = min(lefts), min(lows)
         right = max(map(add, lefts, widths))
         return cls(left, low, right - left, max(map(add, lows, heights)) - low)
+
+
+def face_normals(
+    columns: NDArray[Any], faces: NDArray[Any]
+) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+    """Return the first corner and the normal of each triangle, (3, F). The length of a normal is
+    twice the triangle's area.
+
+    columns : x, y and z of the vertices, (3, N)
+    faces : (3, F)
+    """
+    a, b, c = (columns.take(corner, axis=1) for corner in faces)
+    (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+    return a, [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +91,12 @@ class TriangleSetup:
     def planes(self) -> NDArray[np.float32]:
         """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
         columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
-        corners, normals = map(np.stack, face_normals([*columns], faces))
+        corners, vectors = face_normals(columns, faces)
+        normals = np.stack(vectors)
         normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
         return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
 
-    def facing(self, camera: NDArray[np.float64]) -> NDArray[np.int64]:
+    def facing(self, camera: Float) -> NDArray[np.int64]:
         """Return the indices of the triangles that can face a camera at the given position (3,).
 
         Triangles that are seen edge-on are included, because a driver rounds positions to fractions
@@ -94,7 +106,7 @@ class TriangleSetup:
         return (np.array((*camera, 1.0), dtype=np.float32) @ self.planes > edge_on).nonzero()[0]
 
 
-def areas_of(bounds: Floats, view: Floats, size: tuple[int, int]) -> list[Area]:
+def areas_of(bounds: Float, view: Float, size: tuple[int, int]) -> list[Area]:
     """Return the bounds of each part in an image; empty for a part outside the image.
 
     bounds : (parts, 8, 4), see :attr:`TriangleSetup.bounds`

@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, check_type, warn
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import TRIANGLES, Mesh, moved
-from facerender.mesh.part import Part
+from facerender.mesh.part import Float, Part
 from facerender.mesh.repair import VERTEX_ARRAYS, double_areas
 from facerender.system import meshoptimizer
-
-Float = NDArray[np.float64]
 
 # Weights of errors in normal, texture coordinates (scaled to lengths on the surface in mesh radii),
 # linear colour and occlusion, and second texture coordinates. Errors in position, in extents of the
@@ -130,8 +128,6 @@ def _on_surface(mesh: Geometry, part: Part, uv: Float | None) -> Float:
     """Return texture coordinates (N, 2), scaled to lengths on the surface in mesh radii."""
     if uv is None:
         return np.zeros((len(part.positions), 2))
-    flat = np.concatenate([uv, np.zeros((len(uv), 1))], axis=1)
-    on_map = float(double_areas(flat[part.faces]).sum())
+    on_map = float(double_areas(np.pad(uv, ((0, 0), (0, 1)))[part.faces]).sum())
     on_surface = float(double_areas(part.positions[part.faces]).sum())
-    scale = math.sqrt(on_surface / on_map) if on_map > 0.0 else 1.0
-    return uv * (scale / mesh.radius)
+    return uv * ((math.sqrt(on_surface / on_map) if on_map > 0.0 else 1.0) / mesh.radius)

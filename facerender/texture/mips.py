@@ -44,13 +44,11 @@ def mip_chain(kind: Kind, strips: Iterable[NDArray[np.uint8]], height: int, drop
         halves[low // 2 : low // 2 + len(half)] = half
         low += len(level)
     levels = [finest]
-    halves = halves[: max(height // 2, 1)]  # without the half of a last odd row
     while max(levels[-1].shape[:2]) > 1:
-        tops = range(0, len(halves), STRIP)
-        levels.append(np.concatenate([encode(halves[top : top + STRIP]) for top in tops]))
-        halves = halves[: max(len(halves) & -2, 1)]
-        tops = range(0, len(halves), STRIP)
-        halves = np.concatenate([halve(halves[top : top + STRIP]) for top in tops])
+        halves = halves[: max(len(levels[-1]) // 2, 1)]  # without the half of a last odd row
+        strips = [halves[top : top + STRIP] for top in range(0, len(halves), STRIP)]
+        levels.append(np.concatenate([*map(encode, strips)]))
+        halves = np.concatenate([*map(halve, strips)])
     return levels
 
 

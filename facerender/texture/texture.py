@@ -72,18 +72,6 @@ class _Image:
             self.texels, self.size = image, image.shape[1::-1]
             return image
 
-    def changed(self, change: Callable[[Image], Image]) -> _Image:
-        """Return the result of a function of this image in its own mode, with row 0 on top."""
-
-        def decode() -> Image:
-            image = self.decode()
-            with converted(f"{self.name} is damaged", "; replace the file"):
-                if isinstance(image, np.ndarray):
-                    return change(_image_of(image[::-1]))
-                return change(_loaded(image, self.name))
-
-        return _Image(decode, self.name, self.size)
-
 
 class Texture:
     """An image that is decoded once, when it is first needed.
@@ -136,8 +124,7 @@ class Texture:
     def _with(self, **attributes: Any) -> Texture:
         """Return a texture with other attributes. Textures of equal texels share mip chains."""
         texture = Texture.__new__(Texture)
-        for name, value in (vars(self) | attributes).items():
-            setattr(texture, name, value)
+        vars(texture).update(vars(self) | attributes)
         key = texture._channel, texture._omitted
         texture._chains = texture.image.shared.setdefault(key, _Chains())
         return texture
@@ -293,7 +280,16 @@ class Texture:
 
     def changed(self, change: Callable[[Image], Image]) -> Texture:
         """Return a texture with the result of a function of the image in its mode, row 0 on top."""
-        return self._with(image=self.image.changed(change), profile=None)
+        image = self.image
+
+        def decode() -> Image:
+            original = image.decode()
+            with converted(f"{image.name} is damaged", "; replace the file"):
+                if isinstance(original, np.ndarray):
+                    return change(_image_of(original[::-1]))
+                return change(_loaded(original, image.name))
+
+        return self._with(image=_Image(decode, image.name, image.size), profile=None)
 
     def in_srgb(self) -> Texture:
         """Return this texture in sRGB, converted from its ICC profile if it has one."""
@@ -304,8 +300,8 @@ class Texture:
             self.profile = None
             return self
         image = self.image
-        converted = image.changed(lambda original: _srgb_of(original, profile, image.name))
-        return self._variant(image=image.shared.setdefault("sRGB", converted), profile=None)
+        texture = self.changed(lambda original: _srgb_of(original, profile, image.name))
+        return self._variant(image=image.shared.setdefault("sRGB", texture.image), profile=None)
 
     def levels(self, kind: Kind) -> Future[Levels]:
         """Return the future of a mip chain. A thread computes each chain once.
