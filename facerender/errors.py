@@ -65,9 +65,7 @@ def noting() -> Iterator[list[str]]:
 
 def clipped(text: str, most: int = 160) -> str:
     """Return a text as one printable line; text beyond ``most`` characters is cut in the middle."""
-    line = "".join(
-        character if character.isprintable() else "?" for character in " ".join(text.split())
-    )
+    line = "".join(char if char.isprintable() else "?" for char in " ".join(text.split()))
     return line if len(line) <= most else f"{line[: most // 2]} ... {line[-(most // 2) :]}"
 
 

@@ -103,20 +103,19 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
     file = BytesIO(content) if isinstance(content, bytes) else content
     length = file.seek(0, os.SEEK_END)
     file.seek(0)
-    try:
-        image = Image.open(file, formats=formats)
-    except UnidentifiedImageError:
-        file.seek(0)
-        check_downloaded(file.read(64), f"{name} is")
-        raise InputError(f"{name} is not an image; give a {known}") from None
-    except Image.DecompressionBombError as error:
-        count = re.search("[0-9]+", str(error))
-        raise TooLarge(
-            f"{name} has {count[0] if count else 'too many'} pixels: at most {MAX_SIDE} a side and "
-            f"{MAX_PIXELS:.3g} pixels; make it smaller"
-        ) from None
-    except Exception as error:  # Pillow's decoders raise many types
-        raise InputError(f"{name} is damaged ({reason(error)}); save it again") from None
+    with converted(f"{name} is damaged"):
+        try:
+            image = Image.open(file, formats=formats)
+        except UnidentifiedImageError:
+            file.seek(0)
+            check_downloaded(file.read(64), f"{name} is")
+            raise InputError(f"{name} is not an image; give a {known}") from None
+        except Image.DecompressionBombError as error:
+            count = re.search("[0-9]+", str(error))
+            raise TooLarge(
+                f"{name} has {count[0] if count else 'too many'} pixels: at most {MAX_SIDE} a side "
+                f"and {MAX_PIXELS:.3g} pixels; make it smaller"
+            ) from None
     check_pixels(name, *image.size, 4, length)
     return image
 
@@ -451,8 +450,7 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[
     filtered = np.full((height, 1 + rows.shape[1]), 2, dtype=np.uint8)  # 2: the filter "Up"
     filtered[0, 1:] = rows[0]
     np.subtract(rows[1:], rows[:-1], out=filtered[1:, 1:])
-    depth = 8 * pixels.itemsize
-    chunks = [(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, color_type, 0, 0, 0))]
+    chunks = [(b"IHDR", struct.pack(">IIBB3x", width, height, 8 * pixels.itemsize, color_type))]
     for name, value in metadata.items():
         # ImageMagick reads some keys as settings.
         key = f"{PREFIX}{name}" if name in ("alpha", "background") else name

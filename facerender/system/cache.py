@@ -26,8 +26,7 @@ _START = 64  # offset of the content in bytes, so that arrays in the content are
 def folder() -> Path:
     """Return the folder of the cache. The folder may not exist."""
     base = os.environ.get("XDG_CACHE_HOME", "")
-    home = os.path.expanduser("~/.cache")
-    return Path(base if os.path.isabs(base) else home, "facerender")
+    return Path(base if os.path.isabs(base) else os.path.expanduser("~/.cache"), "facerender")
 
 
 def limit() -> int:
@@ -57,10 +56,8 @@ def read(kind: str, name: str) -> memoryview | None:
         return None
     with suppress(OSError):  # the file belongs to another user
         os.utime(path)  # mark the entry as recently used
-    if len(data) < _START:
-        return None
     content = data[_START:]
-    intact = _HEAD.unpack_from(data) == (_MAGIC, zlib.crc32(content))
+    intact = len(data) >= _START and _HEAD.unpack_from(data) == (_MAGIC, zlib.crc32(content))
     return content if intact else None
 
 

@@ -63,11 +63,7 @@ def temporary_folder() -> Iterator[str]:
     import tempfile
 
     folder = os.path.join(tempfile.gettempdir(), f"facerender-{os.urandom(8).hex()}")
-
-    def remove() -> None:
-        shutil.rmtree(folder, ignore_errors=True)
-
-    with if_ended(remove, always=True):
+    with if_ended(lambda: shutil.rmtree(folder, ignore_errors=True), always=True):
         os.mkdir(folder, 0o700)
         yield folder
 

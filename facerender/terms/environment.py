@@ -170,12 +170,8 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
     """Return the density G1 D/(4 N.V) of :func:`cook_torrance_sample` at l, in 1/sr.
 
-    The density is 0 if N.V or N.L + N.V is at most 1e-6.
-
-    Parameters
-    ----------
-    n, l, v : unit vectors: normal, direction to the light, direction to the camera
-    m : RMS slope, in [1e-4, 2]
+    The density is 0 if N.V or N.L + N.V is at most 1e-6. l is a unit vector; for the other
+    parameters see that function.
     """
     n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
@@ -323,13 +319,11 @@ def environment_cook_torrance(
     Parameters
     ----------
     map, size : see :func:`environment_radiance`
-    n, v : unit vectors: normal, direction to the camera
+    n, v, f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
     m : roughness: RMS slope of the microfacets, in [1e-4, 2]
-    f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
     samples : number of sampled directions, even
     """
-    factors = {"fresnel_term": fresnel_term, "masking_term": masking_term}
-    brdf = partial(cook_torrance, f0=f0, **factors)
+    brdf = partial(cook_torrance, f0=f0, fresnel_term=fresnel_term, masking_term=masking_term)
     return reflected(map, size, n, v, m, brdf, samples)
 
 
@@ -368,10 +362,9 @@ def reflected(
     n_dot_v, axes = dot(normal, eye), environment_axes(normal, eye)
     total = np.zeros(normal.shape)
     for i in range(samples):
-        towards = (-1.0) ** i * np.array([np.cos(_TURN * (i // 2)), np.sin(_TURN * (i // 2))])
-        l, steradians = environment_sample(
-            normal, eye, slope, axes, towards, i // 2, samples=samples
-        )
+        j = i // 2  # Index of the slope; each is also sampled in the opposite direction.
+        towards = (-1.0) ** i * np.array([np.cos(_TURN * j), np.sin(_TURN * j)])
+        l, steradians = environment_sample(normal, eye, slope, axes, towards, j, samples=samples)
         n_dot_l = dot(normal, l)
         visible = (steradians > 0.0) & (np.minimum(n_dot_l, n_dot_v) > MIN_COSINE)
         light = environment_radiance(map, size, l[visible], steradians[visible])

@@ -65,7 +65,6 @@ def named(kind: str, entries: Mapping[str, E], name: object) -> E:
 
 Float = NDArray[np.float64]
 Float64Lobe = Callable[[ArrayLike, ArrayLike, int], Float]
-Rounding = Callable[[Float, Float, int], tuple[Float | float, Float | float]]
 
 MIN_SLOPE = 1e-4
 MAX_SLOPE = 2.0
@@ -103,7 +102,7 @@ class Lobe(Entry):
     ends: Mapping[int, float]
     open_ends: tuple[int, ...] = ()
     errors: Mapping[int, tuple[float, ...]] | None = None
-    rounding: Rounding
+    rounding: Callable[[Float, Float, int], tuple[Float | float, Float | float]]
     amplified: Callable[[Float], Float] = lambda error: error
     macro: str = ""
     macros: Mapping[str, str] = field(default_factory=dict)
@@ -218,50 +217,39 @@ class GPower:
         return f"g-power {self.g} ({self.factor:.5g}/m^2{offset})"
 
 
+_POWERS, _FITTED_ENDS = {"fitted": 5, "fitted-fine": 8}, {4: 0.7, 0: 1.0}
 # shaders/facerender/lobe/fitted.glsl contains the same constants.
-FITTED: dict[tuple[str, int], PowerPolynomial] = {
-    ("fitted", 4): PowerPolynomial(
-        5,
-        0.7,
-        (
-            (-0.39700398, 0.07498738, -0.0060935954),
-            (0.6738297, -0.58629695, 0.0026217349),
-            (0.71936623, -1.6754473, 1.1615276),
-            (-1.0351326, 4.1195317, -5.0082767),
-        ),
+_TABLES: dict[tuple[str, int], tuple[tuple[float, ...], ...]] = {
+    ("fitted", 4): (
+        (-0.39700398, 0.07498738, -0.0060935954),
+        (0.6738297, -0.58629695, 0.0026217349),
+        (0.71936623, -1.6754473, 1.1615276),
+        (-1.0351326, 4.1195317, -5.0082767),
     ),
-    ("fitted", 0): PowerPolynomial(
-        5,
-        1.0,
-        (
-            (-0.40198098, 0.083526049, -0.010091574),
-            (-0.020725706, -0.49894731, 0.08771378),
-            (0.077372606, -0.42975123, 0.18764888),
-            (-0.067503089, 0.51304211, -1.5410764),
-        ),
+    ("fitted", 0): (
+        (-0.40198098, 0.083526049, -0.010091574),
+        (-0.020725706, -0.49894731, 0.08771378),
+        (0.077372606, -0.42975123, 0.18764888),
+        (-0.067503089, 0.51304211, -1.5410764),
     ),
-    ("fitted-fine", 4): PowerPolynomial(
-        8,
-        0.7,
-        (
-            (-0.24963107, 0.030319915, -0.0020734921, 0.0),
-            (0.50360702, -0.52566283, 0.15216287, -0.017956779),
-            (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
-            (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
-            (0.19363848, -1.434821, 4.5145226, -5.6548034),
-        ),
+    ("fitted-fine", 4): (
+        (-0.24963107, 0.030319915, -0.0020734921, 0.0),
+        (0.50360702, -0.52566283, 0.15216287, -0.017956779),
+        (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
+        (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
+        (0.19363848, -1.434821, 4.5145226, -5.6548034),
     ),
-    ("fitted-fine", 0): PowerPolynomial(
-        8,
-        1.0,
-        (
-            (-0.24950537, 0.029811221, -0.0017648837, 0.0),
-            (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
-            (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
-            (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
-            (0.015975844, -0.20239128, 1.087785, -2.6305629),
-        ),
+    ("fitted-fine", 0): (
+        (-0.24950537, 0.029811221, -0.0017648837, 0.0),
+        (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
+        (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
+        (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
+        (0.015975844, -0.20239128, 1.087785, -2.6305629),
     ),
+}
+FITTED = {
+    (name, k): PowerPolynomial(_POWERS[name], _FITTED_ENDS[k], table)
+    for (name, k), table in _TABLES.items()
 }
 
 
@@ -291,12 +279,8 @@ def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
     Parameters
     ----------
     tan2 : tan² γ, >= 0, infinity allowed; any shape
-    m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
-    k : 4 for Cook-Torrance, 0 for Ward
 
-    Raises
-    ------
-    InputError : tan2 or m is outside its domain
+    For the other parameters and the exceptions see :func:`exact`.
 
     References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
@@ -345,18 +329,8 @@ def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
     """Approximate E/c^k by a factor linear in c, clamped and raised to the power g.
 
-    The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k.
-
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
-    k : 4 for Cook-Torrance, 0 for Ward
-    g : 4, 8 or 16
-
-    Raises
-    ------
-    InputError : c, m or g is outside its domain
+    The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k. g is 4, 8 or 16; for the other
+    parameters and the exceptions see :func:`cosine`.
 
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
@@ -371,13 +345,10 @@ def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
 
     Parameters
     ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
     steepness : s, >= 0; broadcasts with c
     g : power, in 1 to 31
 
-    Raises
-    ------
-    InputError : c is outside its domain
+    For c and the exceptions see :func:`exact`.
 
     References: Lyon (1993).
     """
@@ -412,22 +383,14 @@ def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 def fitted_coefficients(m: ArrayLike, k: int) -> Float:
     """Return the coefficients (..., 3) of u, u², u³ in the cubic of :func:`fitted`, with u = 1 - c.
-
-    Raises
-    ------
-    InputError : m is outside the domain of :func:`fitted`
-    """
+    For m, k and the exceptions see that function."""
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k].coefficients(slope)
 
 
 def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`.
-
-    Raises
-    ------
-    InputError : m is outside the domain of :func:`fitted_fine`
-    """
+    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`; for
+    m, k and the exceptions see that function."""
     slope = LOBES["fitted-fine"].check(m, k)
     return FITTED["fitted-fine", k].coefficients(slope)
 
@@ -475,7 +438,7 @@ def _fitted_rounding(c: Float, m: Float, k: int, name: str) -> tuple[float, Floa
     return ULP * lobe.power, power_error(base, error, lobe.power) + TINY
 
 
-def _g_power(g: int, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
+def _g_power(g: int, cook_torrance: tuple[float, ...], ward: tuple[float, ...]) -> Lobe:
     return Lobe(
         name=f"d{g}",
         number=g,
@@ -484,7 +447,7 @@ def _g_power(g: int, errors: Mapping[int, tuple[float, ...]]) -> Lobe:
         evaluate=lambda c, m, k: g_power(c, m, k, g),
         ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
         open_ends=(4,),
-        errors=errors,
+        errors={4: cook_torrance, 0: ward},
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, 2.0 / g, k / g),
     )
 
@@ -509,27 +472,20 @@ LOBES: dict[str, Lobe] = registry(
         evaluate=cosine,
         ends={4: math.sqrt(0.5), 0: MAX_SLOPE},
         open_ends=(4,),
-        errors={
-            4: (0.28, 1.26, 3.42, 8.00, 17.8, 39.7),
-            0: (0.27, 1.07, 2.37, 4.11, 6.25, 8.70),
-        },
+        errors={4: (0.28, 1.26, 3.42, 8.00, 17.8, 39.7), 0: (0.27, 1.07, 2.37, 4.11, 6.25, 8.70)},
         rounding=_cosine_rounding,
         amplified=lambda error: error + 7e-7,  # The second summand is the error of log2.
     ),
-    _g_power(4, {4: (6.96, 5.54, 2.46, 4.18, 17.8, 45.4), 0: (6.98, 5.78, 3.79, 1.12, 2.55, 6.64)}),
-    _g_power(
-        8, {4: (3.11, 1.68, 1.43, 7.79, 20.9, 46.9), 0: (3.13, 1.92, 0.12, 2.83, 6.25, 10.25)}
-    ),
-    _g_power(
-        16, {4: (1.31, 0.13, 3.21, 9.50, 22.3, 47.6), 0: (1.32, 0.12, 1.88, 4.60, 7.99, 11.9)}
-    ),
+    _g_power(4, (6.96, 5.54, 2.46, 4.18, 17.8, 45.4), (6.98, 5.78, 3.79, 1.12, 2.55, 6.64)),
+    _g_power(8, (3.11, 1.68, 1.43, 7.79, 20.9, 46.9), (3.13, 1.92, 0.12, 2.83, 6.25, 10.25)),
+    _g_power(16, (1.31, 0.13, 3.21, 9.50, 22.3, 47.6), (1.32, 0.12, 1.88, 4.60, 7.99, 11.9)),
     Lobe(
         name="fitted",
         number=3,
         file="lobe/fitted",
         call="fr_lobe_fitted(c, m, k)",
         evaluate=fitted,
-        ends={k: FITTED["fitted", k].max_slope for k in TITLES},
+        ends=_FITTED_ENDS,
         errors={4: (0.19,), 0: (0.13,)},
         rounding=partial(_fitted_rounding, name="fitted"),
         constants=("FR_FITTED_COEFFICIENTS", fitted_coefficients),
@@ -540,7 +496,7 @@ LOBES: dict[str, Lobe] = registry(
         file="lobe/fitted",
         call="fr_lobe_fitted_fine(c, m, k)",
         evaluate=fitted_fine,
-        ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
+        ends=_FITTED_ENDS,
         errors={4: (0.04,), 0: (0.04,)},
         rounding=partial(_fitted_rounding, name="fitted-fine"),
         constants=("FR_FITTED_FINE_COEFFICIENTS", fitted_fine_coefficients),
@@ -567,17 +523,12 @@ def _of_g_power(lobe: GPower) -> Lobe:
     g, factor, offset = lobe.g, float(lobe.factor), float(lobe.offset)
     end = math.sqrt(factor / max(offset, factor / MAX_SLOPE**2))
     offset_term = f" - {offset}" if offset else ""
-
-    def evaluate(c: ArrayLike, m: ArrayLike, k: int) -> Float:
-        slope = entry.check(m, k)
-        return clamped_power(c, factor / slope**2 - offset, g)
-
     entry = Lobe(
         name=str(lobe),
         number=6,
         file="lobe/g_power",
         call="fr_lobe_clamped_power(c, FR_STEEPNESS(FR_SLOPE(m), k), FR_G)",
-        evaluate=evaluate,
+        evaluate=lambda c, m, k: clamped_power(c, factor / entry.check(m, k) ** 2 - offset, g),
         ends=dict.fromkeys(TITLES, end),
         rounding=lambda c, m, k: _g_power_rounding(c, m, k, g, factor, offset),
         amplified=lambda error: error * factor * g / 2.0,
@@ -639,8 +590,7 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
     # Least squares minimise the relative error of steepness = factor/m² - offset.
     terms = np.stack([np.asarray(slopes) ** -2.0, -np.ones(len(slopes))], axis=-1)
     relative = terms[:, : len(slopes)] / best[:, None]  # one m determines no offset
-    solution = np.linalg.lstsq(relative, np.ones(len(slopes)), rcond=None)[0]
-    factor, offset = (*solution, 0.0)[:2]
+    factor, offset = (*np.linalg.lstsq(relative, np.ones(len(slopes)), rcond=None)[0], 0.0)[:2]
     lobe = GPower(g, float(factor), float(offset))
     return lobe if in_domain([smallest, largest], lobe, k).all() else None
 
@@ -655,8 +605,6 @@ def _steepness(k: int, g: int, m: float) -> float:
     for _ in range(50):
         middle = 0.5 * (low + high)
         difference = clamped_power(c, middle, g) - target
-        if difference.max() > -difference.min():
-            low = middle
-        else:
-            high = middle
+        too_wide = difference.max() > -difference.min()
+        low, high = (middle, high) if too_wide else (low, middle)
     return middle

@@ -221,9 +221,7 @@ MASKING: dict[str, Masking] = registry(
         file="masking/kelemen",
         call="fr_masking_kelemen_ratio(n_dot_l, n_dot_v)",
         cut=MIN_COSINE,
-        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: masking_kelemen(
-            v_dot_h, n_dot_l, n_dot_v
-        ),
+        evaluate=lambda n_dot_h, *cosines: masking_kelemen(*cosines),
     ),
     Masking(
         name="none",
@@ -232,7 +230,7 @@ MASKING: dict[str, Masking] = registry(
         call="vec2("
         "min(n_dot_l, n_dot_v) > FR_MIN_COSINE ? h_dot_h : 0.0, abs(n_dot_l * n_dot_v) + FR_FLOOR)",
         cut=MIN_COSINE,
-        evaluate=lambda n_dot_h, v_dot_h, n_dot_l, n_dot_v: np.ones_like(n_dot_h),
+        evaluate=lambda n_dot_h, *cosines: np.ones_like(n_dot_h),
     ),
 )
 
@@ -363,10 +361,6 @@ class _Geometry:
         cross = np.cross(normal, half)
         self.tan2 = np.where(self.above, dot(cross, cross), 0.0) / (self.n_dot_h * length) ** 2
 
-    def masking(self, name: str) -> Float:
-        term = named("masking term", MASKING, name)
-        return term.evaluate(self.n_dot_h, self.v_dot_h, self.n_dot_l, self.n_dot_v)
-
     def lobe(self, lobe: AnyLobe, m: ArrayLike, k: int) -> Float:
         entry = lobe_entry(lobe)
         if entry.of_tan2 is not None:
@@ -403,9 +397,10 @@ def cook_torrance(
 
     References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
     """
-    geometry = _Geometry(n, l, v, named("masking term", MASKING, masking_term).cut)
+    masking = named("masking term", MASKING, masking_term)
+    geometry = _Geometry(n, l, v, masking.cut)
     f = fresnel(f0, geometry.v_dot_h, fresnel_term)
-    g = geometry.masking(masking_term)
+    g = masking.evaluate(geometry.n_dot_h, geometry.v_dot_h, geometry.n_dot_l, geometry.n_dot_v)
     d = geometry.lobe(lobe, m, K_COOK_TORRANCE) / (4.0 * np.asarray(m, dtype=np.float64) ** 2)
     return np.where(geometry.above, f * g * d / (np.pi * geometry.n_dot_l * geometry.n_dot_v), 0.0)
 

@@ -23,6 +23,7 @@ from facerender.lobes import AnyLobe, GPower
 from facerender.scene.shading import Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, environment, lobe_entry, transport
 from facerender.terms.lobe import TINY, ULP, power_error
+from tests.verification import shadow
 from tests.verification.evaluate import WIDTH, Inputs
 
 Floats = NDArray[np.float64]
@@ -487,7 +488,7 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
     plane = np.hstack([random.uniform(-2.0, 2.0, (PLACES, 2)), np.zeros((PLACES, 1))])
     image = map_.reshape(-1, WIDTH).astype(float)
     ends = [
-        transport.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC, START)
+        shadow.shadow_disc(image, tile, p + aside, plane[:, :2], *DISC, START)
         for aside in (-5e-5, [5e-5, -5e-5, 0.0], [-5e-5, 5e-5, 0.0], 5e-5)
     ]
     differs = np.ptp(ends, axis=0)
@@ -501,7 +502,7 @@ def shadows() -> tuple[tuple[int, int, int], dict[str, Singles], Floats, Floats]
 def shadow_hard(function: str, arguments: str) -> Case:
     tile, inputs, map_, differs = shadows()
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
-    expected = transport.shadow_hard(map_, tile, *places, np.array(2.4), HARD)
+    expected = shadow.shadow_hard(map_, tile, *places, np.array(2.4), HARD)
     expected = repeated(expected, len(inputs["p"]))
     call = f"{function}(map_texels, ivec3{tile}, {arguments})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
@@ -510,7 +511,7 @@ def shadow_hard(function: str, arguments: str) -> Case:
 @case()
 def shadow_depth() -> Case:
     tile, inputs, map_, _ = shadows()
-    expected = transport.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
+    expected = shadow.shadow_depth(map_, tile, 8.0 * inputs["p"][:PLACES, :2] + 8.0)
     call = f"2.0 + fr_shadow_depth(map_texels, ivec3{tile}, 8.0 * p.xy + 8.0)"
     expected = 2.0 + repeated(expected, len(inputs["p"]))
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-6)
@@ -520,7 +521,7 @@ def shadow_depth() -> Case:
 def shadow_weight() -> Case:
     _, inputs, _, _ = shadows()
     p, plane = (inputs[name][:PLACES, :2].astype(float) for name in ("p", "plane"))
-    expected = transport.shadow_weight(p, plane, np.array(2.4))
+    expected = shadow.shadow_weight(p, plane, np.array(2.4))
     call = "fr_shadow_weight(p.xy, plane.xy, 2.4)"
     return Case(include("shadow"), call, inputs, repeated(expected, len(inputs["p"])), 0.0, 1e-6)
 
@@ -529,7 +530,7 @@ def shadow_weight() -> Case:
 def shadow_disc() -> Case:
     tile, inputs, map_, differs = shadows()
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
-    expected = repeated(transport.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
+    expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
     numbers = ", ".join(map(str, DISC))
     call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {numbers}, vec2{START})"
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
