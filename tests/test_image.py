@@ -24,10 +24,14 @@ def test_srgb_and_back():
     )
 
 
-def test_encoding_by_table_is_within_its_stated_error():
-    x = np.linspace(0.0, 1.2, 300_001, dtype=np.float32)
+def test_encoding_gives_the_nearest_level():
+    first, last = (int(np.float32(x).view(np.uint32)) for x in (1e-4, 1.0))
+    x = np.arange(first, last + 1, 127, dtype=np.uint32).view(np.float32)
+    boundaries = srgb_to_linear((np.arange(1, 256) - 0.5) / 255.0).astype(np.float32)
+    for sign in (0.0, np.float32(2.0)):  # the float32 values around each boundary
+        x = np.append(x, np.nextafter(boundaries, sign))
     exact = 255.0 * linear_to_srgb(x.astype(np.float64))
-    assert np.abs(encode_srgb8(x) - exact).max() <= 0.6
+    np.testing.assert_array_equal(encode_srgb8(x), np.round(exact))
 
 
 @pytest.mark.parametrize(
