@@ -464,7 +464,7 @@ def test_blended_parts_are_drawn_over_deferred_shading(
     bare = with_geometry(whole, parts=parts[:2], materials=whole.materials[:2])
     settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
     scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
-    assert can_defer(resolve(scene, fr.Shading()).appearance, None, 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, None, 16384)
     images = []
     for deferred in (True, False):
         name = "facerender.drawing.renderer.deferred_is_cheaper"
@@ -626,7 +626,7 @@ def test_every_effect_agrees_with_float64(wide):
 @pytest.mark.slow
 def test_forward_deferred_and_per_pixel_shading_agree(backend, monkeypatch):
     scene = fr.Scene(eye(ks=1.0), camera(35.0), EYE_LIGHTS)
-    assert can_defer(resolve(scene, fr.Shading()).appearance, None, 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, None, 16384)
     images = []
     for deferred in (False, True):
         name = "facerender.drawing.renderer.deferred_is_cheaper"

@@ -110,24 +110,6 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
     assert drawn.files["image.png"] != whole.files["image.png"]
 
 
-def test_outputs_share_draws(head, drawing, monkeypatch):
-    calls = []
-    for name in ("render", "gbuffer"):
-        plain = getattr(fr.Renderer, name)
-
-        def counted(*args, name=name, plain=plain, **options):
-            calls.append(name)
-            return plain(*args, **options)
-
-        monkeypatch.setattr(fr.Renderer, name, counted)
-    draw(job_of(), head, drawing, OUTPUTS, 0.0)
-    assert sorted(calls) == ["gbuffer", "render", "render", "render"]
-    calls.clear()
-    draw(job_of(), head, drawing, ("specular",), 0.0)
-    draw(job_of(), head, drawing, ("mask", "parts", "depth", "normal"), 0.0)
-    assert calls == ["render", "gbuffer"]
-
-
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(zoom=8.0), fr.Camera(fov=120.0)])
 def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     mesh = moved(head).with_material(double_sided=True)  # one camera is inside the head

@@ -16,6 +16,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.images.files import read_image
+from facerender.scene.scene import ONLY
 from tests import awkward_files as files
 from tests.awkward_files import MINI_HEAD, mini_head
 from tests.test_alpha import quad
@@ -56,6 +57,77 @@ def drawn(renderer: fr.Renderer, mesh: fr.Mesh, only: str) -> tuple[np.ndarray, 
         warnings.simplefilter("always", fr.FacerenderWarning)
         image = renderer.render(fr.Scene(mesh, FACING), only=only).linear
     return image, [str(warning.message) for warning in caught]
+
+
+# --- outputs of one drawing ----------------------------------------------------------------------
+
+
+SCENES = {
+    "opaque": lambda head: fr.Scene(two_sheets(), FACING),
+    "blended": lambda head: fr.Scene(two_sheets(alpha="blend", opacity=0.6), FACING),
+    "cut": lambda head: fr.Scene(two_sheets(alpha="blend", opacity_map=half()), FACING),
+    "masked": lambda head: fr.Scene(two_sheets(alpha="mask", opacity_map=half()), FACING),
+    "only blended": lambda head: fr.Scene(
+        fr.Mesh.of("veil", [quad(0.0, 2.0)], [fr.Material(alpha="blend", opacity=0.6)]), FACING
+    ),
+    # Of the lashes, triangles that are nearly edge-on cover a pixel if they are drawn in the order
+    # of blended parts.
+    "lashes": lambda head: fr.Scene(fr.load_mesh(), fr.Camera(-33.397), background=(0.1, 0.2, 0.3)),
+    "scattering": lambda head: fr.Scene(head.with_skin(scattering="skin"), fr.Camera(20.0)),
+    "lens": lambda head: fr.Scene(
+        head,
+        fr.Camera(
+            extrinsics=np.c_[np.diag([1.0, -1.0, -1.0]), [0.0, 0.0, 0.7]],
+            intrinsics=((300.0, 0.0, 64.0), (0.0, 300.0, 64.0), (0.0, 0.0, 1.0)),
+            size=(128, 128),
+            distortion=(0.2, 0.05, 0.0, 0.0),
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("name", [*SCENES])
+def test_outputs_together_equal_single_images(egl, head, name, samples):
+    scene = SCENES[name](head)
+    outputs = "image", *(only for only in ONLY if only != "motion")
+    with fr.Renderer(256 if name == "lashes" else 128, samples=samples, backend=egl) as renderer:
+        single = {only: renderer.render(scene, only=only) for only in outputs[1:]}
+        single["image"] = renderer.render(scene)
+        for names in (outputs, outputs[::-1], ("depth", "image"), ("mask", "normal")):
+            frames = renderer.render_outputs(scene, names)
+            assert [*frames] == [*names]
+            for output, frame in frames.items():
+                np.testing.assert_array_equal(frame.linear, single[output].linear, output)
+                assert frame.only == single[output].only
+                assert dict(frame.metadata) == dict(single[output].metadata)
+    depth, mask, parts = (single[only].linear for only in ("depth", "mask", "parts"))
+    np.testing.assert_array_equal(depth[..., 3], mask[..., 0])
+    np.testing.assert_array_equal(depth[..., 0] > 0.0, parts[..., 0] > 0.0)
+
+
+def test_outputs_are_named(renderer):
+    scene = fr.Scene(two_sheets(), FACING)
+    assert renderer.render_outputs(scene, ()) == {}
+    for outputs in ("image", ("image", "colour"), (None,), 3):
+        with pytest.raises(fr.InputError, match="give|known"):
+            renderer.render_outputs(scene, outputs)
+
+
+def test_frames_stay_as_they_are(renderer):
+    scenes = [fr.Scene(two_sheets(), fr.Camera(azimuth)) for azimuth in range(0, 50, 10)]
+    frames = [renderer.render_outputs(scene, ("image", "depth")) for scene in scenes]
+    for scene, pair in zip(scenes, frames, strict=True):
+        np.testing.assert_array_equal(pair["image"].linear, renderer.render(scene).linear)
+        depth = renderer.render(scene, only="depth").linear
+        np.testing.assert_array_equal(pair["depth"].linear, depth)
+
+
+def test_an_empty_image_is_reported_once(renderer):
+    away = fr.Scene(two_sheets(), fr.Camera(target=(50.0, 0.0, 0.0)))
+    with pytest.warns(fr.FacerenderWarning, match="no pixel shows") as caught:
+        renderer.render_outputs(away, ("image", "mask", "depth"))
+    assert len(caught) == 1
 
 
 # --- blended parts -------------------------------------------------------------------------------

@@ -22,7 +22,8 @@ import facerender as fr
 from facerender import material as materials
 from facerender.commands import INTERNAL_ERROR, main
 from facerender.comparison import sources, windows
-from facerender.drawing import renderer as drawing
+from facerender.drawing import compiled
+from facerender.drawing.frame import check_images
 from facerender.errors import InputError
 from facerender.images.files import MAX_PIXELS, check_pixels, read_image
 from facerender.scene.file import load_scene
@@ -318,13 +319,13 @@ def test_image_without_the_mesh_warns_with_the_reason(samples, recwarn):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_non_finite_pixels_raise(value, monkeypatch):
-    def read(*arguments: object) -> np.ndarray:
+    def read(*arguments: Any) -> np.ndarray:
         image = true_read(*arguments)
         image[5, 7, 1] = value
         return image
 
-    true_read = drawing.read
-    monkeypatch.setattr(drawing, "read", read)
+    true_read = compiled.read
+    monkeypatch.setattr(compiled, "read", read)
     with (
         fr.Renderer((64, 48)) as renderer,
         pytest.raises(InputError, match=r"1 pixels of mini_head.glb are not finite, .* \(7, 5\)"),
@@ -335,7 +336,7 @@ def test_non_finite_pixels_raise(value, monkeypatch):
 def test_large_pixels_are_accepted(monkeypatch):
     """The sum of an image may overflow although every pixel is finite."""
     image = np.full((8, 8, 4), 3e38, np.float32)
-    drawing.check_image(image, fr.Scene(HEAD))
+    check_images({"image": image}, fr.Scene(HEAD), 0.5)
 
 
 STRONG = {"irradiance": 1e9}

@@ -14,7 +14,6 @@ from facerender.drawing.frame_passes import Structure, image_passes
 from facerender.drawing.passes import Draw, Pass, Target
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
-from facerender.drawing.resources import read
 from facerender.scene.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
@@ -70,11 +69,11 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
     of = Structure(resolved.appearance, scene.mesh, black, samples, lambda samples: deferred)
     *before, shaded = image_passes(of, None)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
-    join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),))
+    join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),), results=(0,))
 
     frame = CompiledFrame(renderer._resources, [depth, *before, shaded, join], SIZE)
     with renderer.context.drawing():
-        joined = read(frame.draw(view, scene.mesh))
+        _, joined = frame.draw(view, scene.mesh)
     with fr.Renderer(SIZE, samples=samples, backend="egl") as plain:
         expected = plain.render(scene).linear
     np.testing.assert_array_equal(joined[..., :3], 2.0 * expected[..., :3])
@@ -105,4 +104,4 @@ def test_only_needed_passes_are_drawn(egl, head, monkeypatch):
         with fr.Renderer(SIZE, samples=4) as fresh:
             fresh.render(fr.Scene(head, lights=PLAIN_THREE))
             fresh.render(fr.Scene(head), only="normal")  # with shadows, which are not drawn
-    assert drawn == ["shade", "surface", "visible", "shade", "visible", "surface"]
+    assert drawn == ["shade", "data", "visible", "shade", "visible", "data"]

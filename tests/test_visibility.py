@@ -167,7 +167,7 @@ def test_zero_width_triangles(both, renderer_of, monkeypatch):
     if renderer_of((512, 512), 1).context.software:
         with pytest.raises(fr.InputError, match="pixels of cube are not finite.* has no width"):
             both(scene, (512, 512), only="albedo")
-    monkeypatch.setattr("facerender.drawing.renderer.check_image", lambda *_: None)
+    monkeypatch.setattr("facerender.drawing.renderer.check_images", lambda *_: None)
     deferred, drawn = both(scene, (512, 512), only="albedo")
     np.testing.assert_array_equal(deferred[..., 3], drawn[..., 3])
     seen = deferred[deferred[..., 3] > 0.0][:, :3]
@@ -301,9 +301,9 @@ def test_choice_of_deferred_shading(head):
 
 def test_meshes_too_large_for_deferring_are_drawn_forward(head):
     look = resolve(fr.Scene(head), fr.Shading()).appearance
-    assert frame_passes.can_defer(look, None, 16384)
+    assert frame_passes.can_defer(look.unblended, None, 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
-    assert not frame_passes.can_defer(look, None, too_few)
+    assert not frame_passes.can_defer(look.unblended, None, too_few)
 
 
 # --- sides and order of triangles -----------------------------------------------------------------

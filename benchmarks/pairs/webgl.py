@@ -60,7 +60,7 @@ def draw_webgl(
         {
             "name": step.name,
             "size": step.target.size or size,
-            "number": step.target.values == "number",
+            "number": step.target.channels == (1,),
             "clear": step.clear,
             "draws": [_described(blob, draw, step, scene, size, camera) for draw in step.draws],
         }

@@ -7,26 +7,25 @@ record, including the camera. OpenGL is used through the caller's renderer only.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from facerender.batch.jobs import FILES, OUTPUTS, Row, check_outputs, file_name
-from facerender.drawing.frame import Frame, data_view
+from facerender.drawing.frame import Frame
 from facerender.errors import InputError, clipped
 from facerender.images.files import exr_bytes, openexr, png_bytes
 from facerender.loading import load_mesh
 from facerender.material import MAPS
 from facerender.mesh.mesh import Mesh
-from facerender.scene.detail import LevelOfDetail
 from facerender.scene.environment import STUDIO, EnvironmentFile, load_environment
 from facerender.scene.file import Pose
 from facerender.scene.job import Job
 from facerender.scene.landmarks import load_landmarks, located
-from facerender.scene.scene import DATA, Only, Scene
 from facerender.scene.vertices import frame_count, posed
 from facerender.scene.view import View, view_of
 from facerender.texture.texture import Texture
@@ -155,9 +154,6 @@ _READ: dict[str, _Call] = {
 }
 
 
-# Each of these outputs takes one draw; all other outputs come from one G-buffer.
-_APART: dict[str, Only | None]
-_APART = {"image": None, "specular": "specular", "diffuse": "diffuse", "motion": "motion"}
 # Channel names in layers.exr. The last letter of a name selects how compositing programs show the
 # channel: Y is grey. mask.A is the name of Nuke's own mask layer.
 _CHANNELS = {
@@ -178,9 +174,11 @@ _MOST = 65535  # Largest 16-bit value.
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """The drawn files of a job."""
+    """The frames of a job."""
 
-    files: dict[str, bytes]  # Contents of the files, keyed by the file name, such as "image.png".
+    outputs: list[str]  # Names from OUTPUTS.
+    frames: Mapping[str, Frame]  # Keyed by the name of the output, without "layers".
+    exposure: float  # Of image.png, specular.png and diffuse.png, in stops.
     # Plain data for the record: "facerender", "GL_RENDERER", "GL_VERSION"; "mesh", the path or
     # "built-in"; and "camera" from :func:`camera_facts`. With output depth, "depth_scale": mesh
     # units per step of the 16-bit depth. With output parts or layers, "parts": their names. For a
@@ -188,15 +186,31 @@ class Drawn:
     # therefore used. For a job with landmarks, "landmarks" from :func:`landmark_facts`.
     facts: dict[str, Any]
 
+    @cached_property
+    def files(self) -> dict[str, bytes]:
+        """The contents of the files, keyed by the file name, such as "image.png"."""
+        files = {}
+        for name in self.outputs:
+            file = file_name(name)
+            if name == "layers":
+                moved = self.frames.get("motion", self.frames["image"])
+                names = self.frames["mask"], moved, self.frames["image"]
+                metadata = {key: text for frame in names for key, text in frame.metadata.items()}
+                del metadata["only"]
+                files[file] = exr_bytes(file, _layers(self.frames), metadata)
+            else:
+                scale = self.facts.get("depth_scale", 1.0)
+                files[file] = _png(self.frames[name], name, self.exposure, scale)
+        return files
+
 
 def draw(
     job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float
 ) -> Drawn:
     """Draw the outputs of a job; docs/batch.md describes their files.
 
-    The image, the specular term, the diffuse term and motion take one draw each; all other outputs
-    share one draw. layers.exr has motion if the poses of the job and of the frame before differ. On
-    the same OpenGL driver, the same job gives the same bytes.
+    layers.exr has motion if the poses of the job and of the frame before differ. On the same OpenGL
+    driver, the same job gives the same bytes.
 
     Parameters
     ----------
@@ -235,7 +249,9 @@ def draw(
     if "layers" in outputs:
         needed |= {*OUTPUTS} - ({"motion"} if scene.before is None else set())
     needed |= {"depth"} if job.landmarks else set()
-    frames = _frames(job, scene, detail, renderer, needed)
+    names = [name for name in OUTPUTS if name in needed and name != "layers"]
+    options = replace(detail, samples=min(detail.samples, renderer.samples)).values
+    frames = renderer.render_outputs(scene, names, job.shading, **options)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
         facts["landmarks"] = landmark_facts(job.landmarks, view, full_scene.mesh, frames["depth"])
@@ -244,43 +260,9 @@ def draw(
         # and this sphere, not on the visible surface or the driver.
         farthest = max(1.0 - float(view.position @ view.forward), 0.0)
         facts["depth_scale"] = farthest * scene.mesh.radius / _MOST or 1.0  # 1 if all is behind.
-    files = {}
-    for name in filter(outputs.__contains__, OUTPUTS):
-        file = file_name(name)
-        if name == "layers":
-            moved = frames.get("motion", frames["image"])
-            metadata = {**frames["mask"].metadata, **moved.metadata, **frames["image"].metadata}
-            del metadata["only"]
-            files[file] = exr_bytes(file, _layers(frames), metadata)
-        else:
-            files[file] = _png(frames[name], name, exposure, facts.get("depth_scale", 1.0))
     if {"parts", "layers"} & set(outputs):
         facts["parts"] = [part.name for part in mesh.parts]
-    return Drawn(files, facts)
-
-
-def _frames(
-    job: Job, scene: Scene, detail: LevelOfDetail, renderer: Renderer, outputs: Set[str]
-) -> dict[str, Frame]:
-    """Return the frames that the outputs need, keyed by the name of the output."""
-    options = replace(detail, samples=min(detail.samples, renderer.samples)).values
-    # The metadata of all other frames lack the frame before.
-    still_scene = replace(scene, before=None)
-    frames = {
-        name: renderer.render(
-            scene if name == "motion" else still_scene, job.shading, only, **options
-        )
-        for name, only in _APART.items()
-        if name in outputs
-    }
-    if shared := outputs - _APART.keys():
-        gbuffer = renderer.gbuffer(still_scene, job.shading, blended=False, cut=True)
-        for only in DATA:
-            if only in shared:
-                linear = data_view(gbuffer, scene, only)
-                metadata = renderer.data_metadata(still_scene, job.shading, only)
-                frames[only] = Frame(linear, only, scene.background is None, metadata)
-    return frames
+    return Drawn([name for name in OUTPUTS if name in outputs], frames, exposure, facts)
 
 
 def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:

@@ -22,9 +22,9 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.passes import Draw, Order, Pass, Target
 from facerender.drawing.program import ENVIRONMENT_MAP
-from facerender.drawing.resources import Canvas, CompiledProgram, Resources, Uploaded
+from facerender.drawing.resources import Canvas, CompiledProgram, Resources, Uploaded, read
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.setup import Area, TriangleSetup, areas_of
 from facerender.scene.view import View
@@ -42,10 +42,13 @@ _STATES = {
     "blend": (_ALL, False, "<="),
     "mark": (_NOTHING, True, "1"),
     "marked": (_ALL, False, "=="),
+    "visible": (_ALL, False, "1"),
 }
+_OF_TABLE = "marked", "visible"  # draws that read a triangle table
 _UNKNOWN = (None,) * 5
 _FAR_CORNERS = np.array([[-1, -1, 1, 1], [1, -1, 1, 1], [-1, 1, 1, 1]], dtype=float)
 
+_Counts = dict[tuple[int, Order], int]
 Values = list[tuple[Any, bytes]]  # uniforms, of which moderngl's type lacks some attributes
 
 
@@ -54,7 +57,7 @@ class _Call:
     """A draw with its OpenGL objects.
 
     part : index of the part; -1 for none
-    chosen : whether the triangles depend on the view
+    order : name of the order, if the triangles depend on the view
     bounds : key of the view's bounds to draw; None for a fixed area
     area : fixed area
     state : write masks, depth test, enabled capabilities and blend function
@@ -66,7 +69,7 @@ class _Call:
 
     array: moderngl.VertexArray
     part: int
-    chosen: bool
+    order: Order | None
     bounds: int | str | None
     area: Any
     state: tuple[Any, ...]
@@ -119,12 +122,13 @@ class CompiledFrame:
         draws = [(draw.part, draw) for step in passes for draw in step.draws if draw.part]
         # Parts by index; indices of parts whose triangle table is read, and by their order.
         self._parts = {part.index: part for part, _ in draws}
-        self._tables = {part.index for part, draw in draws if draw.depth == "marked"}
+        self._tables = {part.index for part, draw in draws if draw.depth in _OF_TABLE}
         orders = {(p.index, draw.order) for p, draw in draws if isinstance(draw.order, str)}
         self._facing = sorted(index for index, order in orders if order == "facing")
         self._sorted = sorted(index for index, order in orders if order == "sorted")
         used = {area for s in passes for area in (s.area, *(draw.area for draw in s.draws))}
-        groups = {"blended": self._sorted, "opaque": sorted(self._tables)}
+        marked = sorted({part.index for part, draw in draws if draw.depth == "marked"})
+        groups = {"blended": self._sorted, "opaque": marked}
         self._groups = {name: group for name, group in groups.items() if name in used}
         self._uploaded: dict[int, Uploaded] = {}
         self._bounds: tuple[Any, NDArray[np.float64]] = (None, np.empty(0))
@@ -152,7 +156,7 @@ class CompiledFrame:
                 calls.append(call := self._call(draw, step, program, mesh, textures))
                 users.setdefault(program, []).append((call, {**step.uniforms, **draw.uniforms}))
             _bind_once(calls)
-            if target.samples > 1 and target.values == "color" and target.resolved:
+            if target.samples > 1 and target.resolved:
                 single = resources.target(replace(target, samples=1)).framebuffer
             if target.sampled:
                 images: Any = (single or framebuffer).color_attachments
@@ -176,7 +180,7 @@ class CompiledFrame:
     ) -> _Call:
         """Return the call of a draw."""
         resources, part = self.resources, draw.part
-        screen = part is None or draw.depth in ("mark", "marked")
+        screen = part is None or draw.depth in ("mark", *_OF_TABLE)
         bound = dict(textures)
         if part is not None:
             uploaded = resources.part(part, mesh.setups[part.index])
@@ -184,7 +188,7 @@ class CompiledFrame:
             for map_ in part.maps:
                 if map_[0] in program.samplers:
                     bound[map_[0]] = resources.texture(*map_)
-            if draw.depth == "marked":
+            if draw.depth in _OF_TABLE:
                 bound["triangle_table"] = resources.table(part)
             if "selected_triangles" in program.samplers:
                 bound["selected_triangles"] = uploaded.selection()
@@ -200,7 +204,7 @@ class CompiledFrame:
         return _Call(
             array,
             part.index if part else -1,
-            isinstance(draw.order, str),
+            draw.order if isinstance(draw.order, str) else None,
             bounds,
             None if bounds is not None else draw.area or (0, 0, *(step.target.size or self.size)),
             (*_STATES[draw.depth], flags, factor),
@@ -235,9 +239,9 @@ class CompiledFrame:
 
     # --- drawing ---------------------------------------------------------------------------------
 
-    def draw(self, view: View, mesh: Mesh) -> moderngl.Framebuffer:
-        """Draw all passes for a camera and a pose, and return the framebuffer of the last pass. The
-        context must be current.
+    def draw(self, view: View, mesh: Mesh) -> list[NDArray[np.float32]]:
+        """Draw all passes for a camera and a pose, and return their results, (H, W, channels) each;
+        see ``Pass.results``. The context must be current.
 
         Raises InputError if a map is damaged or too large, and ContextError if the driver refuses a
         target or a program.
@@ -254,7 +258,7 @@ class CompiledFrame:
             self._compile(mesh, blended)
         counts, nearest = self._upload(view, setups)
         for index in self._facing:
-            if not counts[index]:
+            if not counts[index, "facing"]:
                 areas[index] = Area()
         if resources.last_frame is not self._token:
             for uniform, data in self._constant:
@@ -275,8 +279,11 @@ class CompiledFrame:
             canvas.held = None  # an error leaves an incomplete image
             self._replay(step, areas, counts, nearest)
             canvas.held = None if key is None else (key, token)
-        last = self._steps[-1]
-        return last.single or last.canvas.framebuffer
+        return [
+            read(step.single or step.canvas.framebuffer, index, step.source.target.channels[index])
+            for step in self._steps
+            for index in step.source.results
+        ]
 
     def _areas(self, view: View, setups: Sequence[TriangleSetup]) -> dict[Any, Area]:
         """Return bounds in the image: of each part by its index, and by the names of Bounds."""
@@ -289,10 +296,11 @@ class CompiledFrame:
 
     def _upload(
         self, view: View, setups: Sequence[TriangleSetup]
-    ) -> tuple[dict[int, int], dict[int, float]]:
+    ) -> tuple[_Counts, dict[int, float]]:
         """Upload a changed pose and the triangles that depend on the view. Return the number of
-        chosen triangles, and the nearest depth of blended parts, by index of the part."""
-        counts, nearest = {}, {}
+        chosen triangles, by part and order, and the nearest depth of blended parts."""
+        counts: _Counts = {}
+        nearest = {}
         for index, uploaded in self._uploaded.items():
             if uploaded.setup is not setups[index]:
                 uploaded.move(setups[index])
@@ -300,34 +308,35 @@ class CompiledFrame:
                 self.resources.draw_table(self._parts[index])
         for index in self._facing:
             order = setups[index].facing(view.position)
-            counts[index] = self._uploaded[index].choose(order)
+            counts[index, "facing"] = self._uploaded[index].choose("facing", order)
         for index in self._sorted:
             setup = setups[index]
             depth = setup.positions @ view.forward
             order = (-np.add.reduce(depth[setup.faces], 1)).argsort(kind="stable")
             nearest[index] = float(np.minimum.reduce(depth))
-            counts[index] = self._uploaded[index].choose(order)
+            counts[index, "sorted"] = self._uploaded[index].choose("sorted", order)
         return counts, nearest
 
     def _replay(
         self,
         step: _Step,
         areas: Mapping[Any, Area],
-        counts: Mapping[int, int],
+        counts: _Counts,
         nearest: Mapping[int, float],
     ) -> None:
         """Draw a pass into its target."""
         gl, framebuffer = self.resources.context.gl, step.canvas.framebuffer
-        target, calls = step.source.target, step.calls
+        target, calls, clear = step.source.target, step.calls, step.source.clear
         if step.blends.stop - step.blends.start > 1:
             blends = sorted(calls[step.blends], key=lambda call: -nearest[call.part])
             calls = [*calls[: step.blends.start], *blends, *calls[step.blends.stop :]]
         viewport: Any = (0, 0, *(target.size or self.size))
-        framebuffer.color_mask = _ALL if target.colors == 1 else [_ALL] * target.colors  # type: ignore[assignment]
+        framebuffer.color_mask = _masks(_ALL, target)
         framebuffer.depth_mask = target.depth_of is None
         framebuffer.viewport = viewport
         framebuffer.use()  # applies the colour masks
-        framebuffer.clear(*step.source.clear, viewport=areas.get(step.source.area))
+        if clear is not None:
+            framebuffer.clear(*clear, viewport=areas.get(step.source.area))
         if target.depth_of:
             framebuffer.depth_mask = True
         state = (_ALL, True, *self._state[2:])
@@ -344,7 +353,7 @@ class CompiledFrame:
                 framebuffer.viewport = viewport = area
             for uniform, data in call.uniforms:
                 uniform.write(data)
-            vertices = 3 * counts[call.part] if call.chosen else call.count
+            vertices = 3 * counts[call.part, call.order] if call.order else call.count
             if not call.covers:
                 call.array.render(vertices=vertices)
                 continue
@@ -370,7 +379,7 @@ class CompiledFrame:
         gl = self.resources.context.gl
         colors, depth, test, flags, factor = new
         if colors is not old[0]:
-            framebuffer.color_mask = colors if target.colors == 1 else [colors] * target.colors  # type: ignore[assignment]
+            framebuffer.color_mask = _masks(colors, target)
             framebuffer.use()
         if depth is not old[1]:
             framebuffer.depth_mask = depth
@@ -382,11 +391,16 @@ class CompiledFrame:
             gl.blend_func = moderngl.ONE, factor
 
 
+def _masks(mask: tuple[bool, ...], target: Target) -> Any:
+    """Return moderngl's colour masks of a target: one mask, or a list."""
+    return mask if len(target.channels) == 1 else [mask] * len(target.channels)
+
+
 def _bind_once(calls: Sequence[_Call]) -> None:
     """Remove the textures that the draw before has bound to the same unit."""
     bound: dict[int, moderngl.Texture] = {}
     for call in calls:
-        if call.chosen:  # the view decides the order of blended parts
+        if call.order:  # the view decides the order of blended parts
             bound.clear()
             continue
         before = dict(bound)

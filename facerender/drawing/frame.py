@@ -23,7 +23,7 @@ from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, p
 from facerender.images.image import encode_srgb8
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh
-from facerender.scene.scene import Only, Scene, check_only
+from facerender.scene.scene import DATA, Only, Scene, check_only
 from facerender.scene.view import View, hidden
 from facerender.system.files import write_bytes
 from facerender.texture.texture import Texture
@@ -434,51 +434,83 @@ def in_order(layers: Sequence[GBuffer], numbers: NDArray[np.float32]) -> list[GB
     return [replace(layer, **values) for layer, values in zip(layers, images, strict=True)]
 
 
-def data_view(gbuffer: GBuffer, scene: Scene, only: Only) -> NDArray[np.float32]:
-    """Return a term of the G-buffer as an image (H, W, 4) float32; see ``Frame.linear``."""
-    covered = gbuffer.part >= 0
-    view = np.zeros((*covered.shape, 4), dtype=np.float32)
-    view[..., 3] = covered
-    position = gbuffer.normalised_position[covered].astype(np.float64)
-    to_eye = gbuffer.view.position - position
-    values: Any = 1.0
-    dark = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
-    if only in ("albedo", "normal"):
-        values = getattr(gbuffer, only)[covered]
-    elif only == "depth":
-        values = -(to_eye @ gbuffer.view.forward)[:, None] * scene.mesh.radius
-    elif only == "visibility" and dark is not None:
-        values = gbuffer.visibility[covered][:, dark, None]
-    elif only == "parts":
-        values = gbuffer.part[covered][:, None] + 1
-    elif only == "cosines":
-        l = v = unit(to_eye)
+# The planes of each data image; see ``drawing/frame_passes.py``.
+PLANES_OF: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys(("depth", "mask", "parts", "visibility"), ("depth",)),
+    "normal": ("normal",),
+    "albedo": ("albedo",),
+    "cosines": ("position", "normal"),
+}
+
+
+def data_image(
+    only: Only, planes: Mapping[str, NDArray[np.float32]], view: View, scene: Scene
+) -> NDArray[np.float32]:
+    """Return a data image (H, W, 4) float32; see ``Frame.linear``.
+
+    planes : the planes of PLANES_OF; for "visibility" also "fraction", the visible fraction (H, W)
+        of the first light that casts shadows, unless it is 1 everywhere
+    """
+    if only in ("normal", "albedo"):
+        image = planes[only]
+        # The default background would tint the zeros that programs expect around the mesh.
+        if only == "albedo" and scene.background not in (None, Scene.background):
+            image[image[..., 3] == 0.0, :3] = scene.background
+        return image
+    if only == "cosines":
+        covered = planes["position"][..., 3] > 0.0
+        position, normal = (
+            planes[name][covered, :3].astype(np.float64) for name in ("position", "normal")
+        )
+        l = v = unit(view.position - position)
         for light in scene.lights[:1]:
             l, _ = light.kind.lighting(light, scene.mesh.space, position)
-        normal = gbuffer.normal[covered].astype(np.float64)
-        values = np.stack([(normal * w).sum(axis=-1) for w in (l, v, unit(l + v))], axis=-1)
-    view[covered, :3] = values
-    # The default background would tint the zeros that programs expect around the mesh.
-    if only == "albedo" and scene.background not in (None, Scene.background):
-        view[~covered, :3] = scene.background
-    return view
+        image = np.zeros((*covered.shape, 4), dtype=np.float32)
+        for channel, direction in enumerate((l, v, unit(l + v))):
+            image[covered, channel] = (normal * direction).sum(axis=-1)
+        image[..., 3] = covered
+        return image
+    relative, part = planes["depth"][..., 0], planes["depth"][..., 1]
+    covered = (part > 0.0).astype(np.float32)
+    if only == "mask":
+        return np.asarray(covered.repeat(4).reshape(*covered.shape, 4))
+    values = part
+    if only == "depth":
+        # The sum of three float32 has almost the rounding error of one: the largest comes last.
+        centre = -float(view.position @ view.forward) * scene.mesh.radius
+        values = relative * np.float32(scene.mesh.radius)
+        values += np.float32(centre - float(np.float32(centre)))
+        values += np.float32(centre)
+        values *= covered
+    elif only == "visibility":
+        values = planes.get("fraction", np.float32(1.0)) * covered
+    image = values.repeat(4).reshape(*covered.shape, 4)
+    image[..., 3] = covered
+    return image
 
 
-def check_image(linear: NDArray[np.float32], scene: Scene, threshold: float | None = None) -> None:
+def check_images(images: Mapping[str, NDArray[np.float32]], scene: Scene, threshold: float) -> None:
     """Raise InputError if a pixel is not finite, and warn if no pixel shows the mesh.
 
-    threshold : smallest opacity of blended parts in a data image; None for other images
+    images : images by output, which are linear RGB with coverage
+    threshold : smallest opacity of blended parts in data images
     """
-    # The sum of squares is several times as fast as isfinite on every value. It can also overflow.
-    total = float(np.vdot(linear, linear))
-    if not math.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
-        row, column = np.unravel_index(int(finite.argmin()), finite.shape)
-        raise InputError(
-            f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at ({column},"
-            f" {row}): a light stands on the surface, a triangle has no width, or lights and "
-            "weights are too strong for float32; move the light, repair the mesh, or lower the "
-            "lights or weights"
-        )
-    coverage = linear[..., 3]
-    if not coverage[len(coverage) // 2].any() and not coverage.any():
-        warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1], threshold)}")
+    for name, linear in images.items():
+        if name in ("mask", "parts"):
+            continue
+        # The sum of squares is several times as fast as isfinite on every value. It can overflow.
+        total = float(np.vdot(linear, linear))
+        if not math.isfinite(total) and not (finite := np.isfinite(linear).all(axis=-1)).all():
+            row, column = np.unravel_index(int(finite.argmin()), finite.shape)
+            raise InputError(
+                f"{(~finite).sum()} pixels of {scene.mesh.name} are not finite, the first at "
+                f"({column}, {row}): a light stands on the surface, a triangle has no width, or "
+                "lights and weights are too strong for float32; move the light, repair the mesh, "
+                "or lower the lights or weights"
+            )
+    for name, linear in images.items():
+        coverage = linear[..., 3]
+        if not coverage[len(coverage) // 2].any() and not coverage.any():
+            cut = threshold if name in DATA else None
+            warn(f"no pixel shows {scene.mesh.name}: {hidden(scene, linear.shape[1::-1], cut)}")
+            return

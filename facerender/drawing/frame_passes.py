@@ -19,44 +19,39 @@ An image (:func:`image_passes`) needs up to seven kinds of passes:
 The last pass, "scatter" or else "shade", draws "transparent" over its result. If neither shading is
 deferred nor light scatters, "shade" draws the blended parts itself, after all others.
 
-Data images need the G-buffer (:func:`surface_passes`), the visible fraction of each light
-(:func:`fraction_passes`) or the visible triangles (:func:`triangle_pass`)."""
+Module ``data_passes`` has the passes of data images."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from facerender.drawing.passes import Bounds, Draw, Order, Pass, Target, depth_only, mask_features
-from facerender.drawing.prepare import Appearance
+from facerender.drawing.passes import Bounds, Draw, Order, Pass, Target, depth_only
+from facerender.drawing.prepare import Appearance, ResolvedPart
 from facerender.drawing.program import (
     IN_ROW,
     Program,
     Uniforms,
     light_uniforms,
     shade_program,
-    shadow_features,
-    surface_features,
     table_features,
 )
-from facerender.drawing.shadows import MOST, shadow_passes, shadow_uniforms
+from facerender.drawing.shadows import shadow_passes, shadow_uniforms
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
 from facerender.scene.scattering import Scattering
-from facerender.scene.scene import Only, Scene, ShadingRate
+from facerender.scene.scene import Only, ShadingRate
 from facerender.terms.transport import scatter_uniforms
 from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
     from facerender.drawing.refraction import Refraction
 
-# Triangles per unit of the second channel that depth.frag writes: float32 does not represent all
-# indices above 2^24.
-INDEX_BASE = 4096
 # Drivers on which deferred shading can be cheaper: see docs/measurements/performance.md.
 DRIVERS = ("llvmpipe",)
 # With one sample per pixel, and more pixels per triangle than this, forward shading is faster.
@@ -65,8 +60,8 @@ _MOST_TRIANGLES = 1 << 24  # float32 represents all whole numbers up to this one
 _BRIGHTEST = 1e3  # largest background channel: float32 adds and subtracts 1e3 with an error of 6e-5
 
 
-def can_defer(look: Appearance, background: Vector | None, rows: int) -> bool:
-    """Return whether deferred shading supports an appearance.
+def can_defer(parts: Sequence[ResolvedPart], background: Vector | None, rows: int) -> bool:
+    """Return whether deferred shading supports the parts that are not blended.
 
     No part may have an alpha mask, and some part must be opaque. Opaque parts must use one set of
     texture coordinates, and have fewer than 2^24 triangles. The triangle data of each part must fit
@@ -74,7 +69,6 @@ def can_defer(look: Appearance, background: Vector | None, rows: int) -> bool:
 
     rows : largest height of a texture, in texels
     """
-    parts = look.unblended
     counts = [len(part.part.faces) for part in parts]
     return (
         0 < sum(counts) < _MOST_TRIANGLES
@@ -108,6 +102,8 @@ class Structure:
     texels : width of a shadow map; 0 without shadows
     refraction : None if no part refracts, or if refraction is left out
     scattering : None if no light scatters, or if scattering is left out
+    cut : parts that only data images show, because the image blends them
+    defers_data : whether data images show the visible triangles, too
     """
 
     look: Appearance
@@ -119,6 +115,8 @@ class Structure:
     texels: int = 0
     refraction: Refraction | None = None
     scattering: Scattering | None = None
+    cut: tuple[ResolvedPart, ...] = ()
+    defers_data: bool = False
 
     @property
     def key(self) -> Hashable:
@@ -142,29 +140,23 @@ class Structure:
         """Return the draws of all parts, in which refracting parts show what is behind them."""
         return self.refraction.refracted(draws) if self.refraction else draws
 
-    def opaque(self, draws: Sequence[Draw], samples: int) -> tuple[Draw, ...]:
-        """Return the draws of the parts that are not blended, as deferred draws where shading is
-        deferred. Each deferred part has two: the first marks the pixels that show the part by a
-        depth of its own, and the second shades these pixels.
+    def deferred(
+        self, parts: Sequence[ResolvedPart], draws: Sequence[Draw], samples: int
+    ) -> tuple[Draw, ...]:
+        """Return deferred draws, two for each part: the first marks the pixels that show the part
+        by a depth of its own, and the second draws these pixels.
 
-        draws : one for each part of the scene
+        parts, draws : in the order in which "visible" counts triangles
         """
-        parts = self.look.unblended
-        if not self.defers(samples):
-            return tuple(draws[part.index] for part in parts)
-        count, first, deferred = f"SAMPLES {samples}", 1, []
-        rate = ("PIXEL_RATE",) * (self.rate == "pixel")
-        visible = Program("visible.frag", "screen.vert", (count,))
-        for number, part in enumerate(parts):
-            draw, triangles = draws[part.index], len(part.part.faces)
-            uniforms = {"triangles": (first, triangles), "depth": number / len(parts)}
-            features = "VISIBLE", *rate, count, *table_features(part.part)
-            program = replace(draw.program, vertex="screen.vert").having(*features)
+        rate, deferred = ("PIXEL_RATE",) * (self.rate == "pixel"), []
+        program = Program("visible.frag", "screen.vert", (f"SAMPLES {samples}",))
+        for number, ((part, first), draw) in enumerate(zip(numbered(parts), draws, strict=True)):
+            depth = number / len(parts)
+            mark = {"depth": depth, "triangles": (first, len(part.part.faces))}
             deferred += [
-                Draw(visible, uniforms, part, "part", "mark"),
-                Draw(program, {**draw.uniforms, **uniforms}, part, "part", "marked"),
+                Draw(program, mark, part, "part", "mark"),
+                where_visible(draw, part, first, samples, depth, *rate),
             ]
-            first += triangles
         if samples == 1:  # no pixel shows two parts: all marks first, for fewer changes of state
             deferred.sort(key=lambda draw: draw.depth == "marked")
         return tuple(deferred)
@@ -174,16 +166,7 @@ class Structure:
         is deferred. The index counts the triangles of all parts from 1; the background is 0."""
         if not self.defers(samples):
             return []
-        draws, first = [], 1
-        for part in self.look.unblended:
-            single = part.material.double_sided is False
-            features = ("SELECTED", f"TRIANGLES_IN_ROW {IN_ROW}") if single else ()
-            program = Program("visibility.frag", "visibility.vert", features)
-            order: Order | None = "facing" if single else None
-            draws.append(Draw(program, {"first": first}, part, None, "test", order, not single))
-            first += len(part.part.faces)
-        target = Target(samples=samples, sampled=True, values="number")
-        return [Pass("visible", target, tuple(draws))]
+        return [visible_pass(numbered(self.look.unblended), samples)]
 
     def shaded(
         self,
@@ -195,14 +178,50 @@ class Structure:
         """Return the pass that shades the parts that are not blended.
 
         target : target of forward shading. Deferred shading of several samples adds them up
-        draws : see :meth:`opaque`
+        draws : one for each part of the scene
         names : of the images
         """
         added = self.defers(target.samples)
         shared = {**self.shared, "background": np.asarray(background)}
-        opaque = self.opaque(draws, target.samples)
-        target = replace(target, samples=1) if added else target
-        return Pass(names[0], target, opaque, (*background, 0.0), shared, added, others=names[1:])
+        opaque: Sequence[Draw] = [draws[part.index] for part in self.look.unblended]
+        if added:
+            opaque = self.deferred(self.look.unblended, opaque, target.samples)
+            target = replace(target, samples=1)
+        clear = *background, 0.0
+        return Pass(names[0], target, tuple(opaque), clear, shared, added, others=names[1:])
+
+
+def numbered(parts: Sequence[ResolvedPart]) -> list[tuple[ResolvedPart, int]]:
+    """Return parts, each with the index of its first triangle; see :meth:`Structure.visible`."""
+    counts = accumulate((len(part.part.faces) for part in parts), initial=1)
+    return list(zip(parts, counts, strict=False))
+
+
+def visible_pass(parts: Sequence[tuple[ResolvedPart, int]], samples: int) -> Pass:
+    """Return the pass that draws the visible triangles of numbered parts."""
+    draws = []
+    for part, first in parts:
+        single = part.material.double_sided is False
+        features = ("SELECTED", f"TRIANGLES_IN_ROW {IN_ROW}") if single else ()
+        program = Program("visibility.frag", "visibility.vert", features)
+        order: Order | None = "facing" if single else None
+        draws.append(Draw(program, {"first": first}, part, None, "test", order, not single))
+    target = Target((1,), samples, sampled=True, resolved=False)
+    return Pass("visible", target, tuple(draws))
+
+
+def where_visible(
+    draw: Draw, part: ResolvedPart, first: int, samples: int, depth: float, *features: str
+) -> Draw:
+    """Return the draw of a part where it is marked.
+
+    first : index of the part's first triangle
+    depth : depth of the mark
+    """
+    names = "VISIBLE", *features, f"SAMPLES {samples}", *table_features(part.part)
+    program = replace(draw.program, vertex="screen.vert").having(*names)
+    uniforms = {**draw.uniforms, "triangles": (first, len(part.part.faces)), "depth": depth}
+    return Draw(program, uniforms, part, "part", "marked")
 
 
 def image_passes(of: Structure, only: Only | None) -> list[Pass]:
@@ -223,11 +242,11 @@ def image_passes(of: Structure, only: Only | None) -> list[Pass]:
     if not scattering:
         image = of.shaded(Target(samples=samples), draws, background)
         if not visible:
-            return [*passes, replace(image, draws=(*image.draws, *blends))]
+            return [*passes, replace(image, draws=(*image.draws, *blends), results=(0,))]
     elif samples == 1:
         names: tuple[str, ...] = "image", "light", "place", "albedo"
         inputs = _scattering(draws, scattering)
-        passes.append(of.shaded(Target(4, sampled=True), inputs, names=names))
+        passes.append(of.shaded(Target((4,) * 4, sampled=True), inputs, names=names))
         image = scatter_pass(scattering, count, background, False, inside=of.defers(1))
     else:
         target = Target(samples=samples, sampled=True)
@@ -236,14 +255,15 @@ def image_passes(of: Structure, only: Only | None) -> list[Pass]:
         # Only diffuse light enters the skin; refracted light does not scatter.
         inputs = _scattering(_shade_draws(look, 1, "diffuse"), scattering, "APART")
         names = "albedo", "light", "place"
-        passes.append(of.shaded(Target(3, sampled=True), inputs, names=names))
+        passes.append(of.shaded(Target((4,) * 3, sampled=True), inputs, names=names))
         image = scatter_pass(scattering, count, (0.0, 0.0, 0.0), True, inside=False)
+    image = replace(image, results=(0,))
     if not blends:
         return [*passes, image]
     # Blended parts are hidden by the depth of "visible", or else by depths of their own.
     depth = visible[0].target if visible else None
     hides = () if visible else tuple(depth_only(draws[part.index]) for part in look.unblended)
-    target = Target(1, samples, sampled=True, number=1, resolved=not visible, depth_of=depth)
+    target = Target((4,), samples, sampled=True, number=1, resolved=not visible, depth_of=depth)
     blended = Pass("transparent", target, (*hides, *blends), uniforms=of.shared, area="blended")
     program = Program("transparent.frag", "screen.vert", (f"SAMPLES {samples if visible else 1}",))
     over = Draw(program, {"depth": -1.0}, area="blended", depth="blend")
@@ -298,102 +318,3 @@ def scatter_pass(
         uniforms = {**mask, **scatter_uniforms(gaussians, samples, scattering.millimetres)}
         draws.append(Draw(program, uniforms, area=area, depth="marked"))
     return Pass("scatter", Target(), tuple(draws), (*behind, 0.0), shared)
-
-
-# --- data ----------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Layer:
-    """One layer of a blended part. Depth peeling shows the surface with this index at each pixel; 0
-    is the nearest surface.
-
-    part : index of the part
-    """
-
-    part: int
-    index: int = 0
-
-
-def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
-    """Return the names of the images of a G-buffer in drawing order:
-
-    - position: position, index of the part plus 1
-    - normal: normal, m
-    - albedo: albedo, specular weight
-    - uv: texture coordinates, occlusion, and either facing (if a part scatters) or opacity (of a
-      layer)
-    - lobes: m of the second lobe and weight of the first lobe, if a part has two lobes
-    - emitted: emission, with the refracted light, if a part emits or refracts light
-    - layer: depth, and index of the triangle in drawing order, of a layer
-
-    layer : whether the G-buffer is one layer of a blended part
-    """
-    materials = scene.mesh.materials
-    lobes = ("lobes",) * any(material.two_lobes for material in materials)
-    emitted = ("emitted",) * any(material.emits for material in materials)
-    return ("position", "normal", "albedo", "uv", *lobes, *emitted, *("layer",) * layer)
-
-
-def surface_passes(of: Structure, images: Sequence[str], layer: Layer | None) -> list[Pass]:
-    """Return the passes that draw the G-buffer of all parts that are not blended, or of a layer.
-
-    images : see :func:`surface_images`
-    """
-    look, draws = of.look, []
-    further = [f"{name.upper()} {index}" for index, name in enumerate(images[4:], 4)]
-    for part in look.parts:
-        features = (
-            *surface_features(part, look.shading),
-            *("EMISSIVE",) * any(part.material.emissive),
-            # Every program must write all images of the pass, also for parts with one lobe.
-            *("TWO_LOBES",) * ("lobes" in images and not part.material.two_lobes),
-            *("SCATTER",) * (of.scattering is not None),
-            *further,
-        )
-        program = Program("gbuffer.frag", features=features)
-        draws.append(Draw.of_part(program, part, part=part.index + 1))
-    passes = of.maps() if of.refraction else []  # only refracted light has shadows
-    target = Target(len(images))
-    if layer:  # two targets alternate, as each layer reads the previous one
-        target = replace(target, sampled=True, number=layer.index % 2)
-    return passes + _data_passes(of, "surface", target, of.refracted(draws), layer)
-
-
-def fraction_passes(of: Structure, layer: Layer | None, casting: Appearance) -> list[Pass]:
-    """Return the passes that draw the visible fraction of each light that casts shadows, in the
-    order of ``Lighting.lights``.
-
-    casting : appearance whose parts cast the shadows
-    """
-    look, draws = of.look, []
-    for part in look.parts:
-        features = surface_features(part, look.shading) + shadow_features(look.lighting)
-        program = Program("light_visibility.frag", features=features, lights=look.lighting.groups)
-        draws.append(Draw.of_part(program, part))
-    passes = shadow_passes(casting, of.mesh, of.texels)
-    return passes + _data_passes(of, "light_visibility", Target(MOST // 4), draws, layer)
-
-
-def _data_passes(
-    of: Structure, name: str, target: Target, draws: Sequence[Draw], layer: Layer | None
-) -> list[Pass]:
-    if layer is None:
-        return [*of.visible(1), of.shaded(target, draws, names=(name,))]
-    draw = draws[layer.part]
-    program = draw.program.having(*("DEPTH_PEELING",) * (layer.index > 0))
-    hides = tuple(depth_only(draws[part.index]) for part in of.look.unblended)
-    peeled = (*hides, replace(draw, program=program, order="sorted"))
-    return [Pass(name, target, peeled, uniforms=of.shared)]
-
-
-def triangle_pass(look: Appearance) -> Pass:
-    """Return the pass that draws the visible triangle at the centre of each pixel: the index of the
-    part plus 1, and two channels with the index of the triangle in drawing order."""
-    draws = []
-    for part in look.unblended:
-        features = mask_features(surface_features(part, look.shading))
-        program = Program("depth.frag", features=(*features, f"TRIANGLE {INDEX_BASE}"))
-        order: Order | None = "facing" if part.material.double_sided is False else None
-        draws.append(replace(Draw.of_part(program, part, part=part.index + 1), order=order))
-    return Pass("triangles", Target(), tuple(draws))

@@ -4,12 +4,13 @@ only finds the visible triangles; the displacements are computed in float64."""
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.frame_passes import INDEX_BASE
-from facerender.drawing.prepare import ResolvedScene
+from facerender.drawing.data_passes import INDEX_BASE
+from facerender.drawing.prepare import ResolvedPart
 from facerender.errors import InputError
 from facerender.scene.scene import Scene
 from facerender.scene.view import View
@@ -49,7 +50,7 @@ def motion_vectors(
     scene: Scene,
     before: Scene,
     views: tuple[View, View],
-    resolved: ResolvedScene,
+    parts: Sequence[ResolvedPart],
     triangles: NDArray[np.float32],
     flat: View,
     rays: Float,
@@ -58,8 +59,8 @@ def motion_vectors(
 
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    resolved, triangles : the scene of ``triangle_pass``, and this pass's values at the image's
-        pixels, (H, W, 4)
+    parts, triangles : the parts of ``triangle_pass``, and this pass's values at the image's pixels,
+        (H, W, 4)
     flat : the camera of this frame without lens distortion
     rays : (H * W, 2), positions at which the rays through the centres of the pixels meet the image
         of this camera, from -1 to 1
@@ -69,14 +70,14 @@ def motion_vectors(
     image = np.zeros_like(texels)
     covered = np.flatnonzero(texels[:, 0])
     part_numbers = texels[covered, 0]
-    for resolved_part in resolved.appearance.unblended:
+    for resolved_part in parts:
         number = resolved_part.index
         pixels = covered[part_numbers == number + 1]
         if not len(pixels):
             continue
         index = (texels[pixels, 1] * INDEX_BASE + texels[pixels, 2]).astype(np.int64)
         if resolved_part.material.double_sided is False:
-            index = resolved.scene.mesh.setups[number].facing(flat.position)[index]
+            index = scene.mesh.setups[number].facing(flat.position)[index]
         part, old_part = (frame.mesh.parts[number] for frame in (scene, before))
         visible, index = _unique(index, len(part.faces))
         corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))

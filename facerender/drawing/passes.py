@@ -25,22 +25,20 @@ Order = Literal["facing", "sorted"]
 class Target:
     """The render target of a pass: a framebuffer with float32 images.
 
-    colors : number of colour images
+    channels : number of channels of each colour image
     samples : samples per pixel
     size : width and height in pixels; None for the size of the frame
     sampled : whether later passes read the images as textures
-    values : content of a pixel: "color" for RGBA, "number" for one value
     number : number that distinguishes targets with otherwise equal attributes
     resolved : whether later passes read one value per pixel of colours with several samples
-    depth_of : target whose depth buffer this target shares and leaves unchanged; None for a depth
+    depth_of : target whose depth buffer this target shares and does not clear; None for a depth
         buffer of its own
     """
 
-    colors: int = 1
+    channels: tuple[int, ...] = (4,)
     samples: int = 1
     size: tuple[int, int] | None = None
     sampled: bool = False
-    values: Literal["color", "number"] = "color"
     number: int = 0
     resolved: bool = True
     depth_of: Target | None = None
@@ -59,6 +57,7 @@ class Draw:
         - "mark": one triangle over the area writes depth only, without a test
         - "marked": one triangle over the area writes colour where the previous "mark" draw wrote
           the same depth. The draw's program reads the triangle table of the part
+        - "visible": like "marked" without marks, for cheap programs, which discard other pixels
     order : indices (F,) of the part's triangles in drawing order, or the name of the order; None
         for the order of the part. Consecutive "sorted" draws are drawn back to front
     double_sided : false to draw only front faces
@@ -68,7 +67,7 @@ class Draw:
     uniforms: Uniforms
     part: ResolvedPart | None = None
     area: Area | Bounds | None = None
-    depth: Literal["test", "hide", "blend", "mark", "marked"] = "test"
+    depth: Literal["test", "hide", "blend", "mark", "marked", "visible"] = "test"
     order: NDArray[np.int64] | Order | None = None
     double_sided: bool | None = True
 
@@ -85,8 +84,10 @@ class Pass:
 
     name : uniform name under which later passes read the first image of the target
     others : uniform names of the further images of the target
+    results : indices of the images that the frame returns
     area : rectangle to clear, as in :class:`Draw`; None for the whole target
-    clear : initial value of all pixels: linear RGB and coverage
+    clear : initial value of all pixels: linear RGB and coverage. None: the pass draws over the
+        target's images and depths
     uniforms : uniforms of all draws. The compiled frame adds the camera's
     added : whether draws add their colours to the image
     key : value of everything except the pose that the image depends on. The pass is skipped if the
@@ -96,11 +97,12 @@ class Pass:
     name: str
     target: Target
     draws: tuple[Draw, ...]
-    clear: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    clear: tuple[float, float, float, float] | None = (0.0, 0.0, 0.0, 0.0)
     uniforms: Uniforms = field(default_factory=dict)
     added: bool = False
     key: Hashable = None
     others: tuple[str, ...] = ()
+    results: tuple[int, ...] = ()
     area: Area | Bounds | None = None
 
 

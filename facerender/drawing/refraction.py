@@ -177,8 +177,8 @@ class Refraction:
                 area = Area(len(front) * side, 0, side, side)
                 front.append(Draw(program, region.uniforms, part, area=area, order=region.faces))
                 behind += _behind(look, region, area)
-        surface = Target(size=(len(front) * side, side), sampled=True, values="number", number=2)
-        image = replace(surface, values="color")
+        surface = Target((1,), size=(len(front) * side, side), sampled=True, number=2)
+        image = replace(surface, channels=(4,))
         light = look.lights, look.lighting.order, look.ambient, look.environment
         value = side, texels, look.materials, *light, look.shading.slope_filter
         key = mesh.geometry.derived.of("refraction", value, object)  # equal while the value is

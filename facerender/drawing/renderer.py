@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 import weakref
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import moderngl
 import numpy as np
@@ -17,31 +18,37 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.compiled import CompiledFrame, sized
 from facerender.drawing.context import Backend, create_context
+from facerender.drawing.data_passes import (
+    PLANES,
+    Layer,
+    fraction_passes,
+    plane_passes,
+    surface_images,
+    surface_passes,
+    triangle_pass,
+)
 from facerender.drawing.frame import (
+    PLANES_OF,
     Frame,
     GBuffer,
     LazyMetadata,
-    check_image,
-    data_view,
+    check_images,
+    data_image,
     in_order,
     scene_metadata,
     shading_metadata,
 )
 from facerender.drawing.frame_passes import (
-    Layer,
     Structure,
     can_defer,
     deferred_is_cheaper,
-    fraction_passes,
     image_passes,
-    surface_images,
-    surface_passes,
-    triangle_pass,
 )
 from facerender.drawing.motion import check_before, motion_vectors, pixel_centres
 from facerender.drawing.passes import Pass, Target
 from facerender.drawing.prepare import (
     Appearance,
+    ResolvedPart,
     ResolvedScene,
     appearance_of,
     check_memory,
@@ -50,12 +57,12 @@ from facerender.drawing.prepare import (
     resolved_parts,
     start_maps,
 )
-from facerender.drawing.resources import Resources, free, free_dropped, read
+from facerender.drawing.resources import Resources, free, free_dropped
 from facerender.drawing.shadows import shadow_texels
-from facerender.errors import ContextError, check_switch, check_type, clipped
+from facerender.errors import ContextError, check_switch, check_type, clipped, each_of
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
-from facerender.mesh.mesh import Mesh, blends_only
+from facerender.mesh.mesh import Mesh, blends_only, drawn_alpha
 from facerender.scene.camera import Camera
 from facerender.scene.environment import EnvironmentSource
 from facerender.scene.file import ImageSettings
@@ -84,6 +91,7 @@ if TYPE_CHECKING:
 
 _LIMITS = ranges_of(ImageSettings)
 _MOST_FRAMES = 8  # compiled frames of an appearance
+_DATA_SAMPLES = 4  # the planes of all data images need the memory of an image with four samples
 
 
 class Renderer:
@@ -145,7 +153,8 @@ class Renderer:
         self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
         self.alpha_threshold = alpha_threshold
         self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
-        self._checked: tuple[object, int] | None = None  # appearance and samples that fit in memory
+        # Appearances, and their samples at once, that fit in memory.
+        self._checked: WeakKeyDictionary[Appearance, int] = WeakKeyDictionary()
         # A renderer of another size, for undistorted images.
         self._resized: Renderer | None = None
         self.context = create_context(backend)
@@ -239,76 +248,152 @@ class Renderer:
             part is below ``alpha_threshold`` everywhere, for data images. A hint of
             :mod:`facerender.mesh.hints`. The last two are emitted once for each mesh
         """
+        check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
+        name = only or "image"
+        return self.render_outputs(scene, (name,), shading, samples, shading_rate)[name]
+
+    def render_outputs(
+        self,
+        scene: Scene,
+        outputs: Iterable[str],
+        shading: Shading = Shading(),
+        samples: int | None = None,
+        shading_rate: ShadingRate = "sample",
+    ) -> dict[str, Frame]:
+        """Draw several outputs of a scene together; a call of :meth:`render` for each would cost
+        more, and draw the same.
+
+        outputs : "image" for the whole image, and terms; see :meth:`render` for the terms, the
+            other parameters, errors and warnings
+
+        Returns
+        -------
+        frames by output, in the order of the outputs
+        """
         _check_scene(scene, shading)
         check_shading_rate("shading_rate", shading_rate)
-        check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
-        check_only(only)
+        names = each_of("outputs", outputs, str, f"some of image, {', '.join(ONLY)}")
+        for name in names:
+            check_only(None if name == "image" else name)
         samples = self.samples if samples is None else _LIMITS["samples"].check("samples", samples)
-        if only in DATA:
-            return self._data_frame(scene, shading, only)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples, shading):
             shading_rate = "sample"
-        linear, resolved = self._radiance(scene, shading, samples, only, shading_rate)
-        check_image(linear, scene)
-        emit_all(resolved.scene.mesh)
-        settings = self.metadata | {"samples": str(samples)}
-        settings |= {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        settings |= {"only": only} if only else {}
-        kind, look = self.albedo_kind, resolved.appearance
-        metadata = LazyMetadata(
-            lambda: {
-                **scene_metadata(scene, appearance_of(scene, shading, kind)),
-                **shading_metadata(look, only),
-                **settings,
-            }
-        )
-        return Frame(linear, only, scene.background is None, metadata)
+        images, shaded = self._images(scene, shading, names, samples, shading_rate)
+        if "motion" in names:
+            images["motion"] = self._motion(scene, shading.replace(shadow_lights=()))
+        check_images(images, scene, self.alpha_threshold)
+        if shaded:
+            emit_all(shaded.scene.mesh)
+        still = replace(scene, before=None) if scene.before else scene
+        rate = {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
+        frames = {}
+        for name in names:
+            only: Any = None if name == "image" else name
+            settings = {"samples": str(samples)} | rate | ({"only": name} if only else {})
+            if name in DATA:
+                threshold = str(self.alpha_threshold)
+                settings = {"samples": "1", "only": name, "alpha_threshold": threshold}
+            arguments = scene if name == "motion" else still, shading, only, self.albedo_kind
+            metadata = LazyMetadata(
+                partial(_metadata, *arguments, shaded, self.metadata | settings)
+            )
+            frames[name] = Frame(images[name], only, scene.background is None, metadata)
+        return frames
 
-    def _radiance(
+    def _images(
         self,
         scene: Scene,
         shading: Shading,
+        outputs: Sequence[str],
         samples: int,
-        only: Only | None,
-        shading_rate: ShadingRate,
-    ) -> tuple[NDArray[np.float32], ResolvedScene]:
-        """Return the linear image of a scene, (H, W, 4), and the resolved scene."""
-        view = view_of(scene, self.size[0] / self.size[1])
+        rate: ShadingRate,
+    ) -> tuple[dict[str, NDArray[np.float32]], ResolvedScene | None]:
+        """Return the linear images (H, W, 4) of outputs except motion, by name; and the resolved
+        scene of shaded images, None without such an image. See :meth:`render_outputs`."""
+        view, images, resolved = view_of(scene, self.size[0] / self.size[1]), {}, None
         if lens := _lens(scene, self.size):
             wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
-            linear, resolved = wide._radiance(flat, shading, samples, only, shading_rate)
-            return lens.filtered(linear), resolved
-        resolved = self._resolved(scene, shading, view, samples)
-        if samples <= self.context.most_samples:
-            return self._shaded(resolved, view, samples, only, shading_rate), resolved
+            flat_images, resolved = wide._images(flat, shading, outputs, samples, rate)
+            for name, image in flat_images.items():
+                images[name] = (lens.nearest_values if name in DATA else lens.filtered)(image)
+            return images, resolved
+        data: list[Any] = [name for name in DATA if name in outputs and name != "motion"]
+        names = tuple(name for name in PLANES if any(name in PLANES_OF[only] for only in data))
+        planes: dict[str, NDArray[np.float32]] = {}
+        for name in outputs:
+            if name in DATA:
+                continue
+            only: Any = None if name == "image" else name
+            resolved = self._resolved(scene, shading, view, samples)
+            of = self._structure(resolved, view, samples, only is None, only != "specular", rate)
+            together = () if planes or samples > self.context.most_samples else names
+            images[name], *arrays = self._radiance(of, resolved, view, only, together)
+            planes |= zip(names, arrays, strict=False)
+        if names and not planes:
+            unlit, of = self._for_data(scene, shading.replace(shadow_lights=()), view)
+            make = partial(plane_passes, of, names, image=False)
+            arrays = self._draw("data", unlit, (of.key, names), make, view)
+            planes = dict(zip(names, arrays, strict=True))
+        if "visibility" in data:
+            first = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
+            resolved_data, of = self._for_data(scene, shading, view)
+            if first in (shadowed := of.look.lighting.shadowed):
+                fractions = self._fractions(of, resolved_data, view)
+                planes["fraction"] = fractions[..., shadowed.index(first)]
+        for name in data:
+            images[name] = data_image(name, planes, view, scene)
+        return images, resolved
+
+    def _for_data(
+        self, scene: Scene, shading: Shading, view: View
+    ) -> tuple[ResolvedScene, Structure]:
+        """Return a resolved scene, and the structure of frames of its data."""
+        resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)
+        of = self._structure(resolved, view, 1, refracts=False, scatters=False)
+        return resolved, self._with_cut(of)
+
+    def _with_cut(self, of: Structure) -> Structure:
+        """Return a structure with the parts that only data images show: blended parts that do not
+        transmit light get an alpha mask, and have a surface where their opacity is at least
+        alpha_threshold. Many exporters mark a whole face as blended."""
+        emit(of.mesh, too_clear, too_clear(of.mesh, self.alpha_threshold))
+        cut = []
+        for part in of.look.blended:
+            if blends_only(part.material):
+                mask = replace(part.material, alpha="mask", alpha_cutoff=self.alpha_threshold)
+                cut.append(replace(part, material=mask, alpha=drawn_alpha(part.part, mask)))
+        if not cut:
+            return of
+        defers = self._defers([*of.look.unblended, *cut], of.look, of.background, "sample", 1)
+        return replace(of, cut=tuple(cut), defers_data=defers)
+
+    def _radiance(
+        self,
+        of: Structure,
+        resolved: ResolvedScene,
+        view: View,
+        only: Only | None,
+        names: tuple[str, ...] = (),
+    ) -> list[NDArray[np.float32]]:
+        """Draw an image of a view. Return it, (H, W, 4), and planes of data images.
+
+        names : of the planes; () for more samples than the driver's limit
+        """
+        if of.samples <= self.context.most_samples:
+
+            def make() -> list[Pass]:
+                planes = plane_passes(of, names, image=True) if names else []
+                return [*image_passes(of, only), *planes]
+
+            of = self._with_cut(of) if names else of
+            return self._draw(f"image {only}", resolved, (of.key, names), make, view)
         linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-        for shift in sample_grid(samples):
-            linear += self._shaded(resolved, view.shifted(shift, self.size), 1, only)
-        linear /= samples
-        return linear, resolved
-
-    def _data_frame(self, scene: Scene, shading: Shading, only: Only) -> Frame:
-        """Return the frame of a G-buffer term or of motion, with one sample per pixel."""
-        simpler = shading if only == "visibility" else shading.replace(shadow_lights=())
-        if only == "motion":
-            linear = self._motion(scene, simpler)
-        else:
-            linear = data_view(self.gbuffer(scene, simpler, blended=False, cut=True), scene, only)
-        check_image(linear, scene, self.alpha_threshold)
-        metadata = self.data_metadata(scene, shading, only)
-        return Frame(linear, only, scene.background is None, metadata)
-
-    def data_metadata(self, scene: Scene, shading: Shading, only: Only) -> dict[str, str]:
-        """Return the metadata of a data image."""
-        look = appearance_of(scene, shading, self.albedo_kind)
-        metadata = scene_metadata(scene, look) | self.metadata
-        metadata |= {"samples": "1", "only": only, "alpha_threshold": str(self.alpha_threshold)}
-        if only == "parts":
-            metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
-        return metadata
-
-    def _resolve(self, scene: Scene, shading: Shading) -> ResolvedScene:
-        return resolve(scene, shading, self.albedo_kind)
+        for shift in sample_grid(of.samples):
+            shifted = view.shifted(shift, self.size)
+            one = self._structure(resolved, shifted, 1, only is None, only != "specular")
+            linear += self._radiance(one, resolved, shifted, only)[0]
+        linear /= of.samples
+        return [linear]
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
@@ -318,12 +403,13 @@ class Renderer:
         if lens:
             renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
-        resolved = renderer._cut(renderer._resolved(flat, shading, view, 1))
-        make = lambda: [triangle_pass(resolved.appearance)]  # noqa: E731
+        resolved, of = renderer._for_data(flat, shading, view)
+        parts = sorted((*of.look.unblended, *of.cut), key=lambda part: part.index)
+        make = lambda: [triangle_pass(parts, shading)]  # noqa: E731
         (triangles,) = renderer._draw("triangles", resolved, None, make, view)
         triangles = lens.nearest_values(triangles) if lens else triangles
         rays = 2.0 * (lens.places if lens else pixel_centres(self.size)) / renderer.size - 1.0
-        return motion_vectors(scene, before, views, resolved, triangles, view, rays)
+        return motion_vectors(scene, before, views, parts, triangles, view, rays)
 
     def landmarks(
         self, scene: Scene, landmarks: Landmarks
@@ -357,52 +443,30 @@ class Renderer:
         """
         _check_scene(scene, shading)
         _LIMITS["samples"].check("samples", samples)
-        look = self._resolve(scene, shading).appearance
-        return samples > 1 and self._can_defer(look, scene.background, samples)
+        look = resolve(scene, shading, self.albedo_kind).appearance
+        return samples > 1 and self._can_defer(look.unblended, scene.background, samples)
 
-    def gbuffer(
-        self, scene: Scene, shading: Shading = Shading(), blended: bool = True, cut: bool = False
-    ) -> GBuffer:
+    def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
-        Parameters
-        ----------
         blended : whether to draw blended parts too, with one G-buffer for each of their layers;
             default true
-        cut : whether blended parts that do not transmit light become surfaces where their opacity
-            is at least ``alpha_threshold``, as in data images; default false
         """
         _check_scene(scene, shading)
         check_switch("blended", blended)
-        check_switch("cut", cut)
         view = view_of(scene, self.size[0] / self.size[1])
         if lens := _lens(scene, self.size):
             wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
-            return lens.nearest(wide.gbuffer(flat, shading, blended, cut), view)
-        # The G-buffer needs the memory of an image with four samples.
-        original = self._resolved(scene, shading, view, 4)
-        resolved = self._cut(original) if cut else original
+            return lens.nearest(wide.gbuffer(flat, shading, blended), view)
+        resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)
         with self._layer_lock:
             layers = [
                 layer
                 for part in (_far_first(resolved, view) if blended else ())
                 for layer in self._layers(resolved, view, part)
             ]
-        gbuffer, _ = self._gbuffer(resolved, view, casting=original)
+        gbuffer, _ = self._gbuffer(resolved, view)
         return replace(gbuffer, transparent_layers=tuple(layers))
-
-    def _cut(self, resolved: ResolvedScene) -> ResolvedScene:
-        """Return the scene of data images: blended parts that do not transmit light become parts
-        with an alpha mask, which have a surface where their opacity is at least alpha_threshold.
-        Many exporters mark a whole face as blended."""
-        mesh = resolved.scene.mesh
-        emit(mesh, too_clear, too_clear(mesh, self.alpha_threshold))
-        if not any(map(blends_only, mesh.materials)):
-            return resolved
-        mask: dict[str, Any] = {"alpha": "mask", "alpha_cutoff": self.alpha_threshold}
-        new = (replace(old, **mask) if blends_only(old) else old for old in mesh.materials)
-        cut = replace(resolved.scene, mesh=replace(mesh, materials=tuple(new)))
-        return self._resolve(cut, resolved.appearance.shading)
 
     def _layers(self, resolved: ResolvedScene, view: View, part: int) -> list[GBuffer]:
         """Return all layers of a blended part by depth peeling, in drawing order at each pixel."""
@@ -416,24 +480,18 @@ class Renderer:
             numbers.append(number)
 
     def _gbuffer(
-        self,
-        resolved: ResolvedScene,
-        view: View,
-        layer: Layer | None = None,
-        casting: ResolvedScene | None = None,
+        self, resolved: ResolvedScene, view: View, layer: Layer | None = None
     ) -> tuple[GBuffer, NDArray[np.float32]]:
         """Return the G-buffer of all parts that are not blended, or of one layer of a blended part;
         and for a layer, the index of each pixel's triangle in drawing order, otherwise no values.
-
-        casting : scene whose parts cast the shadows; default: the resolved scene
         """
         scene, look = resolved.scene, resolved.appearance
         of = self._structure(resolved, view, 1, scatters=layer is None)
-        of = replace(of, defers=lambda samples: False) if layer else of
         inputs: dict[str, moderngl.Texture] = {}
         names = surface_images(scene, layer is not None)
         if layer and layer.index:
-            previous = Target(len(names), sampled=True, number=1 - layer.index % 2)
+            number = 1 - layer.index % 2
+            previous = Target((4,) * len(names), sampled=True, number=number)
             framebuffer = self._resources.targets[sized(previous, self.size)].framebuffer
             inputs["previous_layer"] = framebuffer.color_attachments[-1]  # type: ignore[assignment]
         make = partial(surface_passes, of, names, layer)
@@ -442,12 +500,8 @@ class Renderer:
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
-        if number := len(look.lighting.shadowed):
-            cast = (casting or resolved).appearance
-            make, key = partial(fraction_passes, of, layer, cast), (of.key, layer, cast.token)
-            fractions = self._draw("fractions", resolved, key, make, view, inputs)
-            all_fractions = np.concatenate(fractions, axis=-1)[..., :number]
-            visibilities[..., look.lighting.shadowed] = all_fractions
+        if shadowed := look.lighting.shadowed:
+            visibilities[..., shadowed] = self._fractions(of, resolved, view, layer, inputs)
         material = scene.mesh.materials[layer.part] if layer else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -470,34 +524,34 @@ class Renderer:
         )
         return gbuffer, np.empty((0, 0), np.float32) if order is None else order[..., 1]
 
+    def _fractions(
+        self,
+        of: Structure,
+        resolved: ResolvedScene,
+        view: View,
+        layer: Layer | None = None,
+        inputs: Mapping[str, moderngl.Texture] = {},
+    ) -> NDArray[np.float32]:
+        """Return the visible fractions (H, W, lights) of all lights that cast shadows, in the order
+        of ``Lighting.shadowed``."""
+        make, key = partial(fraction_passes, of, layer), (of.key, layer, len(of.cut))
+        fractions = self._draw("fractions", resolved, key, make, view, inputs)
+        return np.concatenate(fractions, axis=-1)[..., : len(of.look.lighting.shadowed)]
+
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
-        resolved = self._resolve(scene, shading)
+        resolved = resolve(scene, shading, self.albedo_kind)
         if not (self.full_maps or self.albedo_kind == "linear-color"):
             smaller = reduced(resolved, view, self.size, self.anisotropy)
             if smaller is not resolved.scene:
-                resolved = self._resolve(smaller, shading)
+                resolved = resolve(smaller, shading, self.albedo_kind)
         at_once, look = min(samples, self.context.most_samples), resolved.appearance
-        if self._checked != (look.token, at_once):
+        if self._checked.get(look, 0) < at_once:
             check_memory(resolved, self.size, at_once, self.memory)
-            self._checked = look.token, at_once
+            self._checked[look] = at_once
             self._resources.take_coarse(look.parts)
             start_maps(look.parts)
         return resolved
-
-    def _shaded(
-        self,
-        resolved: ResolvedScene,
-        view: View,
-        samples: int,
-        only: Only | None = None,
-        shading_rate: ShadingRate = "sample",
-    ) -> NDArray[np.float32]:
-        """Draw an image of a view; `samples` must not exceed the driver's limit."""
-        shows = only is None, only != "specular"
-        of = self._structure(resolved, view, samples, *shows, shading_rate)
-        make = partial(image_passes, of, only)
-        return self._draw(f"image {only}", resolved, of.key, make, view)[0]
 
     def _structure(
         self,
@@ -516,28 +570,40 @@ class Renderer:
             from facerender.drawing.refraction import Refraction  # only if a scene needs it
 
             refraction = Refraction(look, mesh, view, self.size, background)
-        defers = partial(self._defers, look, background, rate)
+        defers = partial(self._defers, look.unblended, look, background, rate)
         texels = shadow_texels(look, view, self.size)
         scattering = scattering_of(scene, view, self.size) if scatters and look.scatters else None
+        defers_data = self._defers(look.unblended, look, background, "sample", 1)
         return Structure(
-            look, mesh, background, samples, defers, rate, texels, refraction, scattering
-        )
+            look, mesh, background, samples, defers, rate, texels, refraction, scattering,
+            defers_data=defers_data,
+        )  # fmt: skip
 
     def _defers(
-        self, look: Appearance, background: Vector, rate: ShadingRate, samples: int
+        self,
+        parts: Sequence[ResolvedPart],
+        look: Appearance,
+        background: Vector,
+        rate: ShadingRate,
+        samples: int,
     ) -> bool:
         """Return whether to draw only visible triangles: if asked for the rate "pixel", and where
-        it is cheaper."""
-        driver, parts = self.context.renderer, [part.part for part in look.parts]
-        return self._can_defer(look, background, samples) and (
-            rate == "pixel" or deferred_is_cheaper(parts, self.size, samples, driver)
+        it is cheaper.
+
+        parts : that are not blended
+        """
+        driver, all_parts = self.context.renderer, [part.part for part in look.parts]
+        return self._can_defer(parts, background, samples) and (
+            rate == "pixel" or deferred_is_cheaper(all_parts, self.size, samples, driver)
         )
 
-    def _can_defer(self, look: Appearance, background: Vector | None, samples: int) -> bool:
+    def _can_defer(
+        self, parts: Sequence[ResolvedPart], background: Vector | None, samples: int
+    ) -> bool:
         """Return whether driver and scene support deferred shading. With other numbers of samples
         than 1 or its maximum, a driver may use more than requested without reporting how many."""
         rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        return samples in (1, self.context.most_samples) and can_defer(look, background, rows)
+        return samples in (1, self.context.most_samples) and can_defer(parts, background, rows)
 
     def _of_size(self, size: tuple[int, int]) -> Renderer:
         """Return a renderer of another size with the same context, geometry, maps and programs. The
@@ -546,7 +612,7 @@ class Renderer:
         if resized is None or resized.size != size:
             resized = copy(self)
             resized.size, resized._resized = size, None
-            resized._checked = None
+            resized._checked = WeakKeyDictionary()
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
                 resources = self._resources
@@ -569,7 +635,7 @@ class Renderer:
         view: View,
         inputs: Mapping[str, moderngl.Texture] = {},
     ) -> list[NDArray[np.float32]]:
-        """Draw a frame, which is compiled on first use, and return the images of its last pass.
+        """Draw a frame, which is compiled on first use, and return its results.
 
         name, key : value that is equal for frames of one appearance and size with equal passes
         make : returns these passes
@@ -588,8 +654,7 @@ class Renderer:
                 frames[address] = frame
                 if len(frames) > _MOST_FRAMES:
                     del frames[next(iter(frames))]
-            target = frame.draw(view, scene.mesh)
-            return [read(target, index) for index in range(len(target.color_attachments))]
+            return frame.draw(view, scene.mesh)
 
 
 def _far_first(resolved: ResolvedScene, view: View) -> list[int]:
@@ -607,6 +672,27 @@ def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
     from facerender.drawing.lens import lens_of
 
     return lens_of(scene.camera, size)
+
+
+def _metadata(
+    scene: Scene,
+    shading: Shading,
+    only: Only | None,
+    kind: Kind,
+    shaded: ResolvedScene | None,
+    settings: dict[str, str],
+) -> dict[str, str]:
+    """Return the metadata of a frame. It keeps no renderer alive.
+
+    shaded : resolved scene of shaded images
+    """
+    metadata = scene_metadata(scene, appearance_of(scene, shading, kind))
+    if shaded and only not in DATA:
+        metadata |= shading_metadata(shaded.appearance, only)
+    metadata |= settings
+    if only == "parts":
+        metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
+    return metadata
 
 
 def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Target
+from facerender.drawing.passes import Order, Target
 from facerender.drawing.prepare import Appearance, ResolvedPart
 from facerender.drawing.program import (
     IN_ROW,
@@ -92,10 +92,11 @@ class Uploaded:
     setup : vertices of the pose that the GPU holds
     moving : positions and normals, which change with the pose
     fixed : interleaved further vertex attributes, with the widths by name; None if there are none
-    arrays : cache of vertex arrays, keyed by program and whether they read chosen triangles
-    chosen : vertex indices of the triangles that :meth:`choose` chose; None before its first use
-    selected, texels : texture of the indices of these triangles, None before its first use; and its
-        content
+    arrays : cache of vertex arrays, keyed by program and by the name of the order, None for all
+        triangles
+    chosen : vertex indices of the triangles that :meth:`choose` chose, by the name of the order
+    selected, texels : texture of the indices of the triangles that face the camera, None before its
+        first use; and its content
     table : triangle table; None before its first use
     table_setup : vertices of the pose that the table holds; None if it is empty
     """
@@ -106,10 +107,10 @@ class Uploaded:
     fixed: moderngl.Buffer | None
     widths: Mapping[str, int]
     indices: moderngl.Buffer
-    arrays: WeakKeyDictionary[CompiledProgram, dict[bool, moderngl.VertexArray]] = field(
+    arrays: WeakKeyDictionary[CompiledProgram, dict[str | None, moderngl.VertexArray]] = field(
         default_factory=WeakKeyDictionary
     )
-    chosen: moderngl.Buffer | None = None
+    chosen: dict[str, moderngl.Buffer] = field(default_factory=dict)
     selected: moderngl.Texture | None = None
     texels: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     table: TriangleTable | None = None
@@ -130,37 +131,41 @@ class Uploaded:
         self.moving.write(setup.vertices)
         self.setup = setup
 
-    def choose(self, order: NDArray[np.int64]) -> int:
-        """Upload the indices of triangles (F,), which arrays of chosen triangles draw. Return their
+    def choose(self, name: Order, order: NDArray[np.int64]) -> int:
+        """Upload the indices of triangles (F,), which arrays of this order draw. Return their
         number."""
-        if self.chosen is None:
-            self.chosen = self.gl.buffer(reserve=self.indices.size, dynamic=True)
         if not (count := len(order)):
             return 0
-        self.chosen.write(self.setup.faces.take(order, axis=0))
-        if self.selected is not None:
+        self.buffer(name).write(self.setup.faces.take(order, axis=0))
+        if self.selected is not None and name == "facing":
             rows = -(-count // IN_ROW)
             self.texels[:count] = order  # no draw reads those behind
             self.selected.write(self.texels[: rows * IN_ROW], (0, 0, IN_ROW, rows))
         return count
 
+    def buffer(self, name: Order) -> moderngl.Buffer:
+        """Return the vertex indices of the chosen triangles of an order."""
+        if name not in self.chosen:
+            self.chosen[name] = self.gl.buffer(reserve=self.indices.size, dynamic=True)
+        return self.chosen[name]
+
     def selection(self) -> moderngl.Texture:
-        """Return the texture of the indices of the chosen triangles."""
+        """Return the texture of the indices of the triangles that face the camera."""
         if self.selected is None:
             self.texels = np.empty(-(-len(self.setup.faces) // IN_ROW) * IN_ROW, dtype=np.float32)
             self.selected = _empty(self.gl, len(self.setup.faces), 1, 1)
         return self.selected
 
     def array(
-        self, compiled: CompiledProgram, order: NDArray[np.int64] | str | None = None
+        self, compiled: CompiledProgram, order: NDArray[np.int64] | Order | None = None
     ) -> moderngl.VertexArray:
         """Return the vertex array that a program reads, from the cache, except for a fixed order.
 
-        order : indices of the triangles; a text for the chosen ones; None for all
+        order : indices of the triangles; a name for the chosen ones; None for all
         """
         program, arrays = compiled.program, self.arrays.setdefault(compiled, {})
-        if (chooses := order is not None) in arrays and not isinstance(order, np.ndarray):
-            return arrays[chooses]
+        if not isinstance(order, np.ndarray) and order in arrays:
+            return arrays[order]
         content = []
         moving = {"in_position": 3, "in_normal": 3}
         for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
@@ -169,11 +174,9 @@ class Uploaded:
                 content.append((buffer, " ".join(parts), *used))
         if isinstance(order, np.ndarray):
             return self.gl.vertex_array(program, content, self.gl.buffer(self.setup.faces[order]))
-        if chooses and self.chosen is None:
-            self.chosen = self.gl.buffer(reserve=self.indices.size, dynamic=True)
-        indices = self.chosen if chooses else self.indices
-        arrays[chooses] = self.gl.vertex_array(program, content, indices)
-        return arrays[chooses]
+        indices = self.buffer(order) if order else self.indices
+        arrays[order] = self.gl.vertex_array(program, content, indices)
+        return arrays[order]
 
 
 @dataclass(eq=False)
@@ -318,11 +321,10 @@ class Resources:
         self._settled = False
         samples = kind.samples if kind.samples > 1 else 0
         try:
-            components = 1 if kind.values == "number" else 4
-            resolved = samples and kind.values == "color" and kind.resolved
+            resolved = samples and kind.resolved
             make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
             colors: list[Any] = [
-                make(size, components, samples=samples, dtype="f4") for _ in range(kind.colors)
+                make(size, count, samples=samples, dtype="f4") for count in kind.channels
             ]
             if kind.sampled and not samples:
                 for color in colors:
@@ -474,10 +476,10 @@ class Resources:
             image(_TEXTURE_2D, number, internal, width, height, 0, layout, data_type, None)
 
 
-def read(target: moderngl.Framebuffer, attachment: int = 0) -> NDArray[np.float32]:
-    """Return the pixels (H, W, 4) of a target that has no multisampling."""
-    pixels = np.empty((target.height, target.width, 4), dtype=np.float32)
-    target.read_into(pixels, components=4, attachment=attachment, dtype="f4")
+def read(target: moderngl.Framebuffer, index: int, channels: int) -> NDArray[np.float32]:
+    """Return an image (H, W, channels) of a framebuffer that has no multisampling."""
+    pixels = np.empty((target.height, target.width, channels), dtype=np.float32)
+    target.read_into(pixels, components=channels, attachment=index, dtype="f4")
     return pixels
 
 

@@ -74,7 +74,7 @@ def shadow_passes(look: Appearance, mesh: Mesh, texels: int) -> list[Pass]:
 
 
 def _target(size: tuple[int, int], number: int = 0) -> Target:
-    return Target(size=size, sampled=True, values="number", number=number)
+    return Target((1,), size=size, sampled=True, number=number)
 
 
 def _cones(spaces: Sequence[LightSpace], texels: int, map_key: Hashable) -> list[Pass]:

@@ -273,6 +273,7 @@ def _timed(
     panorama = scene.environment.panorama if scene.environment else None
     frame = CompiledFrame(resources, [step], SIZE, panorama, inputs)
     frame.draw(_VIEW, mesh)
+    framebuffer = resources.targets[sized(step.target, SIZE)].framebuffer
     array = resources.parts[part.part].array(program)
     if matrix := program.uniforms.get("view_projection"):
         matrix.write(_VIEW.matrix.astype("f4"))
@@ -280,7 +281,8 @@ def _timed(
 
     def seconds(count: int) -> float:
         # The drawing of one pixel sets the target, the uniforms and the textures.
-        frame.draw(_VIEW, mesh).viewport = 0, 0, *SIZE
+        frame.draw(_VIEW, mesh)
+        framebuffer.viewport = 0, 0, *SIZE
         gl.enable_only(moderngl.BLEND)
         gl.blend_func = moderngl.ONE, moderngl.ONE
         with clock(gl) as elapsed:

@@ -274,7 +274,7 @@ def _projection(fov: float, aspect: float, depth: float, reach: float) -> Float:
 
 def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     """Return the reason why an image of the given size shows nothing of the mesh, and a remedy. For
-    ``threshold`` see :func:`facerender.drawing.frame.check_image`."""
+    ``threshold`` see :func:`facerender.drawing.frame.check_images`."""
     width, height = size
     view = view_of(scene, width / height)
     places = np.concatenate([part.positions for part in scene.mesh.parts])

@@ -2,8 +2,9 @@
 // the position. visible.glsl reads this table.
 //
 // The first texel of a triangle holds the unit normal of its plane and the plane's distance from the
-// origin. Each further texel holds an attribute's gradient and its value at the origin: first the
-// normal, then the fixed attributes, and last the dot product of position and normal.
+// origin. A row has the first texels of all its triangles before the others, because depth images
+// need only these. Each further texel holds an attribute's gradient and its value at the origin:
+// first the normal, then the fixed attributes, and last the dot product of position and normal.
 //
 // A triangle may be narrower than the rounding error of its positions, for example in a filled
 // T-junction. Then its attributes vary only along its length, and its first vertex determines the
@@ -35,8 +36,12 @@ float value_of(int vertex, vec3 position, int index) {
 
 void main() {
     int column = int(gl_FragCoord.x);
-    int triangle = column / TRIANGLE_TEXELS;
-    int index = column - triangle * TRIANGLE_TEXELS;
+    int triangle = column;
+    int index = 0;
+    if (column >= TRIANGLES_IN_ROW) {
+        triangle = (column - TRIANGLES_IN_ROW) / LAST;
+        index = 1 + column - TRIANGLES_IN_ROW - triangle * LAST;
+    }
     ivec3 face = texelFetch(faces, ivec2(triangle, int(gl_FragCoord.y)), 0).xyz;
     vec3 a = position_of(face.x);
     vec3 b = position_of(face.y);

@@ -488,8 +488,10 @@ function probe(places) {
   };
   const [a, b] = [state.a, state.b].map(term => {
     const image = sampled(1, facts.background, term, part => shadeSource(part, term));
+    const images = ["POSITION", "NORMAL", "ALBEDO", "UV"].map(
+      (name, i) => `#define ${name}_IMAGE ${i}\n`).join("");
     return sampled(4, [0, 0, 0], term, part =>
-      surfaceHead(part, term) + sources.host["gbuffer.frag"]).map(
+      surfaceHead(part, term) + images + sources.host["gbuffer.frag"]).map(
       ([position, normal, albedo, other], i) => ({
         part: position[3] - 1, position: position.slice(0, 3), normal: normal.slice(0, 3),
         m: normal[3], albedo: albedo.slice(0, 3), specular_weight: albedo[3],

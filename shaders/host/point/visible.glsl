@@ -15,7 +15,8 @@ uniform mat3 rays;
 vec4 texel_of(uint triangle, int index) {
     int row = int(triangle) / TRIANGLES_IN_ROW;
     int column = int(triangle) - row * TRIANGLES_IN_ROW;
-    return texelFetch(triangle_table, ivec2(column * TRIANGLE_TEXELS + index, row), 0);
+    int others = TRIANGLES_IN_ROW + column * (TRIANGLE_TEXELS - 1) + index - 1;
+    return texelFetch(triangle_table, ivec2(index == 0 ? column : others, row), 0);
 }
 
 float affine(uint triangle, int index, vec3 position) {

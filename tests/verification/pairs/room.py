@@ -21,7 +21,7 @@ from facerender.drawing.context import Backend
 from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Program
-from facerender.scene.view import View, sample_grid, view_of
+from facerender.scene.view import View, view_of
 from tests.verification.pairs.scenes import Setting
 
 Linear = NDArray[np.float32]
@@ -108,15 +108,9 @@ class Room:
         samples = samples or self.renderer.samples
         seen = view or view_of(own, 1.0)
         self.renderer.patch = patch
-        at_once = min(samples, self.renderer.context.most_samples)
         resolved = self.renderer._resolved(own, how, seen, samples)
-        if at_once == samples:
-            return self.renderer._shaded(resolved, seen, samples)
-        images = [
-            self.renderer._shaded(resolved, seen.shifted(at, self.size), 1)
-            for at in sample_grid(samples)
-        ]
-        return cast(Linear, np.mean(images, axis=0, dtype=np.float32))
+        of = self.renderer._structure(resolved, seen, samples)
+        return self.renderer._radiance(of, resolved, seen, None)[0]
 
     @cached_property
     def golden(self) -> Linear:
