@@ -568,6 +568,7 @@ class Order:
     left: tuple[int, ...]  # Indices of the remaining jobs in the chunk.
     tar: Path | None  # See :class:`facerender.batch.records.Writer`.
     size: int
+    ahead: bool  # Whether to draw the next job while the files of a job are written.
 
 
 @dataclass(frozen=True)

@@ -283,7 +283,9 @@ class Supervisor:
             positions = [position for position in range(len(chunk.rows)) if position not in records]
             message = Message("starts")
             try:
-                for message in self._answers(Order(settings, chunk, tuple(positions), tar, size)):
+                # After a death, the last message must name the job that causes the next one.
+                order = Order(settings, chunk, tuple(positions), tar, size, ahead=not deaths)
+                for message in self._answers(order):
                     if message.record is not None:
                         records[message.position], size = message.record, message.size
                         steps[message.step] += 1

@@ -7,19 +7,22 @@ can identify the responsible job.
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import signal
 import sys
 import warnings
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-from facerender.batch.outputs import draw
+from facerender.batch.outputs import Drawn, draw
 from facerender.batch.records import (
     NO_MEMORY,
+    Chunk,
     Message,
     Order,
     Record,
@@ -40,6 +43,7 @@ from facerender.scene.job import MESH_PATHS, Job, MeshFile
 from facerender.system.files import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
+_MOST_PIXELS = 1 << 22  # Larger images would take the memory of two jobs at a time.
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 
 
@@ -72,47 +76,78 @@ def main(handle: int) -> None:
 
 
 def _draw(order: Order) -> Iterator[Message]:
+    """Draw the jobs of an order. While a thread encodes and writes the files of a job, the next job
+    is drawn, unless images are large."""
     chunk, settings = order.chunk, order.settings
     writer = Writer(settings, chunk, order.tar, order.size)
-    for position in order.left:
-        try:
-            if (record := writer.keep(position)) is not None:
-                yield Message("kept", position, record, writer.size)
-                continue
+    writing: Future[Message] | None = None
+    with ThreadPoolExecutor(1) as executor:
+        for position in order.left:
+            if position in chunk.kept:
+                if writing:  # the thread uses the writer
+                    yield writing.result()
+                    writing = None
+                if (record := writer.keep(position)) is not None:
+                    yield Message("kept", position, record, writer.size)
+                    continue
             yield Message("loads", position)
-            row = chunk.rows[position]
-            job = Job.from_dict(row.tables)
-            if job.environment:
-                _check_file(job.environment.file)
-            mesh, warnings_of_mesh = _mesh(job.mesh)
-            if key_of(row) != chunk.keys[position]:
-                raise InputError(
-                    "its mesh, maps or environment differ from the files that the coordinator "
-                    "read: give all machines the same files, and run the same command again"
-                )
-            yield Message("draws", position)
-            with noting() as warned:
-                renderer = _renderer(job.image, settings.backend)
-                drawn = draw(job, mesh, renderer, row.outputs, row.exposure)
-            facts: Record = {"job": row.tables, **meta_of(row), **drawn.facts}
-            if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
-                facts["warnings"] = texts
-            record = writer.write(position, drawn.files, facts)
-        except CannotUse:
-            raise
-        except MemoryError:
-            os._exit(NO_MEMORY)  # A new process may have enough memory.
-        except Exception as error:
-            if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
-                yield Message("cannot", text=why)
-                return
-            notes = (str(error), *getattr(error, "__notes__", ()))
-            text = " ".join(" ".join(notes).split()) or type(error).__name__
-            record = failure(chunk, position, type(error).__name__, text)
-            yield Message("failed", position, record, writer.size)
-            continue
-        yield Message("done", position, record, writer.size)
+            row, facts = chunk.rows[position], Record()
+            result: Drawn | Exception
+            try:
+                job = Job.from_dict(row.tables)
+                if job.environment:
+                    _check_file(job.environment.file)
+                mesh, warnings_of_mesh = _mesh(job.mesh)
+                if key_of(row) != chunk.keys[position]:
+                    raise InputError(
+                        "its mesh, maps or environment differ from the files that the coordinator "
+                        "read: give all machines the same files, and run the same command again"
+                    )
+                yield Message("draws", position)
+                with noting() as warned:
+                    renderer = _renderer(job.image, settings.backend)
+                    result = draw(job, mesh, renderer, row.outputs, row.exposure)
+                facts = {"job": row.tables, **meta_of(row), **result.facts}
+                if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
+                    facts["warnings"] = texts
+            except Exception as error:
+                if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
+                    yield Message("cannot", text=why)
+                    return
+                result = error
+            future = executor.submit(_finished, chunk, writer, position, result, facts)
+            if writing:
+                yield writing.result()
+            writing = future
+            large = isinstance(result, Drawn) and math.prod(job.image.size) > _MOST_PIXELS
+            if large or not order.ahead:
+                yield writing.result()
+                writing = None
+        if writing:
+            yield writing.result()
     yield Message("end")
+
+
+def _finished(
+    chunk: Chunk, writer: Writer, position: int, result: Drawn | Exception, facts: Record
+) -> Message:
+    """Encode and write the files of a job, and return the message that it is done or failed.
+
+    result : the frames of the job, or the error of its drawing
+    """
+    try:
+        if isinstance(result, Exception):
+            raise result
+        return Message("done", position, writer.write(position, result.files, facts), writer.size)
+    except CannotUse:
+        raise
+    except MemoryError:
+        os._exit(NO_MEMORY)  # A new process may have enough memory.
+    except Exception as error:
+        notes = (str(error), *getattr(error, "__notes__", ()))
+        text = " ".join(" ".join(notes).split()) or type(error).__name__
+        record = failure(chunk, position, type(error).__name__, text)
+        return Message("failed", position, record, writer.size)
 
 
 @lru_cache(_RENDERERS)

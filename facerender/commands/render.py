@@ -11,6 +11,7 @@ import re
 import string
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -132,7 +133,7 @@ class Destination:
                 last.append(frame)
                 yield frame
 
-        images = remembered()
+        images = remembered() if self.count == 1 else _ahead(remembered())
         if self.kind == "moving":
             from facerender.images.animation import save_animation
 
@@ -146,6 +147,16 @@ class Destination:
             else:
                 frame.save(file, exposure)
         return last[0]
+
+
+def _ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Yield frames. A thread draws the next one while this thread encodes and writes: of the two,
+    only drawing may change threads, because signals end the process in this thread."""
+    with ThreadPoolExecutor(1) as executor:
+        future = executor.submit(next, frames, None)
+        while frame := future.result():
+            future = executor.submit(next, frames, None)
+            yield frame
 
 
 def _moves(path: str, count: int) -> bool:
