@@ -339,6 +339,14 @@ def test_large_pixels_are_accepted(monkeypatch):
     check_images({"image": image}, fr.Scene(HEAD), 0.5)
 
 
+@pytest.mark.parametrize(
+    "rows", [[[1.0, 0.1]] * 2, [[1.0, 0.1, 0.2, 0.3, 5.0, 0.1, 0.1, 0.1]], [[1.0, 0.1, 0.2, "a"]]]
+)
+def test_rows_of_a_scattering_profile_have_four_numbers(rows):
+    with pytest.raises(InputError, match="scattering = .*: give a name, or 1 to 16 Gaussians"):
+        fr.Material(scattering=rows)
+
+
 STRONG = {"irradiance": 1e9}
 
 
