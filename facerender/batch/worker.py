@@ -43,7 +43,7 @@ from facerender.scene.job import MESH_PATHS, Job, MeshFile
 from facerender.system.files import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
-_MOST_PIXELS = 1 << 22  # Larger images would take the memory of two jobs at a time.
+_MOST_PIXELS = 1 << 20  # Two jobs with larger images would take much memory at a time.
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 
 
