@@ -120,10 +120,10 @@ def fraction_passes(of: Structure, layer: Layer | None) -> list[Pass]:
         features = surface_features(part, look.shading) + shadow_features(lighting)
         program = Program(f"{name}.frag", features=features, lights=lighting.groups)
         draws.append(Draw.of_part(program, part))
-    passes = shadow_passes(look, of.mesh, of.texels)
-    if layer:
-        return [*passes, _peeled(of, name, target, draws, layer)]
-    return passes + _data_passes(of, name, target, draws)
+    one = [_peeled(of, name, target, draws, layer)] if layer else []
+    *passes, data = one or _data_passes(of, name, target, draws)
+    used = tuple(range(-(-len(lighting.shadowed) // 4)))  # four lights in an image
+    return [*shadow_passes(look, of.mesh, of.texels), *passes, replace(data, results=used)]
 
 
 def _data_passes(
