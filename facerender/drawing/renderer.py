@@ -263,6 +263,8 @@ class Renderer:
         """Draw several outputs of a scene together; a call of :meth:`render` for each would cost
         more, and draw the same.
 
+        Parameters
+        ----------
         outputs : "image" for the whole image, and terms; see :meth:`render` for the terms, the
             other parameters, errors and warnings
 
@@ -449,6 +451,8 @@ class Renderer:
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
 
+        Parameters
+        ----------
         blended : whether to draw blended parts too, with one G-buffer for each of their layers;
             default true
         """

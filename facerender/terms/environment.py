@@ -170,8 +170,12 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
     """Return the density G1 D/(4 N.V) of :func:`cook_torrance_sample` at l, in 1/sr.
 
-    The density is 0 if N.V or N.L + N.V is at most 1e-6. l is a unit vector; for the other
-    parameters see that function.
+    The density is 0 if N.V or N.L + N.V is at most 1e-6.
+
+    Parameters
+    ----------
+    n, l, v : unit vectors: normal, direction to the light, direction to the camera
+    m : RMS slope, in [1e-4, 2]
     """
     n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
@@ -319,8 +323,9 @@ def environment_cook_torrance(
     Parameters
     ----------
     map, size : see :func:`environment_radiance`
-    n, v, f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
+    n, v : unit vectors: normal, direction to the camera
     m : roughness: RMS slope of the microfacets, in [1e-4, 2]
+    f0, fresnel_term, masking_term : see :func:`facerender.brdf.cook_torrance`
     samples : number of sampled directions, even
     """
     brdf = partial(cook_torrance, f0=f0, fresnel_term=fresnel_term, masking_term=masking_term)

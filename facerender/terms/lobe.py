@@ -279,8 +279,12 @@ def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
     Parameters
     ----------
     tan2 : tan² γ, >= 0, infinity allowed; any shape
+    m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
+    k : 4 for Cook-Torrance, 0 for Ward
 
-    For the other parameters and the exceptions see :func:`exact`.
+    Raises
+    ------
+    InputError : tan2 or m is outside its domain
 
     References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
@@ -329,8 +333,18 @@ def cosine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
     """Approximate E/c^k by a factor linear in c, clamped and raised to the power g.
 
-    The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k. g is 4, 8 or 16; for the other
-    parameters and the exceptions see :func:`cosine`.
+    The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k.
+
+    Parameters
+    ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
+    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
+    k : 4 for Cook-Torrance, 0 for Ward
+    g : 4, 8 or 16
+
+    Raises
+    ------
+    InputError : c, m or g is outside its domain
 
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
@@ -345,10 +359,13 @@ def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
 
     Parameters
     ----------
+    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
     steepness : s, >= 0; broadcasts with c
     g : power, in 1 to 31
 
-    For c and the exceptions see :func:`exact`.
+    Raises
+    ------
+    InputError : c is outside its domain
 
     References: Lyon (1993).
     """
@@ -383,14 +400,22 @@ def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 def fitted_coefficients(m: ArrayLike, k: int) -> Float:
     """Return the coefficients (..., 3) of u, u², u³ in the cubic of :func:`fitted`, with u = 1 - c.
-    For m, k and the exceptions see that function."""
+
+    Raises
+    ------
+    InputError : m is outside the domain of :func:`fitted`
+    """
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k].coefficients(slope)
 
 
 def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`; for
-    m, k and the exceptions see that function."""
+    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`.
+
+    Raises
+    ------
+    InputError : m is outside the domain of :func:`fitted_fine`
+    """
     slope = LOBES["fitted-fine"].check(m, k)
     return FITTED["fitted-fine", k].coefficients(slope)
 
