@@ -592,7 +592,7 @@ def test_moderngl_programs_may_include(evaluate):
         const vec3 z = vec3(0.0);
         void main() { result = fr_ward(z, z, z, 0.3) + fr_lobe(1.0, 0.3, 0); }
         """
-        gl.program("#version 330\nvoid main() {}", fragment).release()
+        gl.program("#version 330\nvoid main() {}", fragment)  # gl.gc() frees it
         gl.includes.clear()
 
 
