@@ -109,7 +109,8 @@ def test_outputs_together_equal_single_images(egl, head, name, samples):
 def test_outputs_are_named(renderer):
     scene = fr.Scene(two_sheets(), FACING)
     assert renderer.render_outputs(scene, ()) == {}
-    for outputs in ("image", ("image", "colour"), (None,), 3):
+    assert [*renderer.render_outputs(scene, "depth")] == ["depth"]
+    for outputs in ("colour", ("image", "colour"), (None,), 3):
         with pytest.raises(fr.InputError, match="give|known"):
             renderer.render_outputs(scene, outputs)
 

@@ -59,7 +59,14 @@ from facerender.drawing.prepare import (
 )
 from facerender.drawing.resources import Resources, free, free_dropped
 from facerender.drawing.shadows import shadow_texels
-from facerender.errors import ContextError, check_switch, check_type, clipped, each_of
+from facerender.errors import (
+    ContextError,
+    check_known,
+    check_switch,
+    check_type,
+    clipped,
+    each_of,
+)
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
 from facerender.mesh.mesh import Mesh, blends_only, drawn_alpha
@@ -249,6 +256,7 @@ class Renderer:
             :mod:`facerender.mesh.hints`. The last two are emitted once for each mesh
         """
         check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
+        check_only(only)
         name = only or "image"
         return self.render_outputs(scene, (name,), shading, samples, shading_rate)[name]
 
@@ -274,9 +282,10 @@ class Renderer:
         """
         _check_scene(scene, shading)
         check_shading_rate("shading_rate", shading_rate)
-        names = each_of("outputs", outputs, str, f"some of image, {', '.join(ONLY)}")
+        several = (outputs,) if isinstance(outputs, str) else outputs
+        names = each_of("outputs", several, str, f"some of image, {', '.join(ONLY)}")
         for name in names:
-            check_only(None if name == "image" else name)
+            check_known("output", name, ("image", *ONLY))
         samples = self.samples if samples is None else _LIMITS["samples"].check("samples", samples)
         if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples, shading):
             shading_rate = "sample"
@@ -682,7 +691,7 @@ def _metadata(
     scene: Scene,
     shading: Shading,
     only: Only | None,
-    kind: Kind,
+    albedo: Kind,
     shaded: ResolvedScene | None,
     settings: dict[str, str],
 ) -> dict[str, str]:
@@ -690,7 +699,7 @@ def _metadata(
 
     shaded : resolved scene of shaded images
     """
-    metadata = scene_metadata(scene, appearance_of(scene, shading, kind))
+    metadata = scene_metadata(scene, appearance_of(scene, shading, albedo))
     if shaded and only not in DATA:
         metadata |= shading_metadata(shaded.appearance, only)
     metadata |= settings
