@@ -193,9 +193,9 @@ class Drawn:
         for name in self.outputs:
             file = file_name(name)
             if name == "layers":
-                moved = self.frames.get("motion", self.frames["image"])
-                names = self.frames["mask"], moved, self.frames["image"]
-                metadata = {key: text for frame in names for key, text in frame.metadata.items()}
+                image, mask = self.frames["image"], self.frames["mask"]
+                moved = self.frames.get("motion", image)
+                metadata = {**mask.metadata, **moved.metadata, **image.metadata}
                 del metadata["only"]
                 files[file] = exr_bytes(file, _layers(self.frames), metadata)
             else:

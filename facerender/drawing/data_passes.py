@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from facerender.drawing.frame_passes import Structure, numbered, visible_pass, where_visible
+from facerender.drawing.frame_passes import Structure, numbered, visible_pass
 from facerender.drawing.passes import Draw, Order, Pass, Target, depth_only, mask_features
 from facerender.drawing.prepare import Appearance, ResolvedPart
 from facerender.drawing.program import Program, shadow_features, surface_features
@@ -68,14 +68,8 @@ def plane_passes(of: Structure, names: Sequence[str], image: bool) -> list[Pass]
     parts = *of.look.unblended, *of.cut
     draws = [_surface(of.look, part, names, "COVERAGE") for part in parts]
     target = Target(tuple(PLANES[name] for name in names), number=1)
-    *visible, data = _data_passes(of, "data", target, draws, image)
-    if of.defers_data:  # the programs are so cheap that marks cost more than they save
-        cheap = (
-            replace(where_visible(draw, part, first, 1, 0.0), depth="visible")
-            for draw, (part, first) in zip(draws, numbered(parts), strict=True)
-        )
-        data = replace(data, draws=tuple(cheap))
-    return [*visible, data]
+    # The programs are so cheap that marks would cost more than they save.
+    return _data_passes(of, "data", target, draws, image, marks=False)
 
 
 def surface_passes(of: Structure, images: Sequence[str], layer: Layer | None) -> list[Pass]:
@@ -127,18 +121,24 @@ def fraction_passes(of: Structure, layer: Layer | None) -> list[Pass]:
 
 
 def _data_passes(
-    of: Structure, name: str, target: Target, draws: Sequence[Draw], image: bool = False
+    of: Structure,
+    name: str,
+    target: Target,
+    draws: Sequence[Draw],
+    image: bool = False,
+    marks: bool = True,
 ) -> list[Pass]:
     """Return passes that draw data of the parts that are not blended and of ``of.cut``.
 
     draws : one for each of these parts
+    marks : whether deferred draws have marks; see :meth:`Structure.deferred`
     """
     results, parts = tuple(range(len(target.channels))), (*of.look.unblended, *of.cut)
     if not of.defers_data:
         ordered = sorted(zip(parts, draws, strict=True), key=lambda pair: pair[0].index)
         forward = tuple(draw for _, draw in ordered)
         return [Pass(name, target, forward, uniforms=of.shared, results=results)]
-    deferred = of.deferred(parts, draws, 1)
+    deferred = of.deferred(parts, draws, 1, marks)
     passes = [Pass(name, target, deferred, uniforms=of.shared, results=results)]
     shared = image and of.defers(1) and (of.samples == 1 or of.scattering is not None)
     if further := numbered(parts)[len(of.look.unblended) if shared else 0 :]:

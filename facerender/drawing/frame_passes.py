@@ -27,7 +27,7 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -141,22 +141,29 @@ class Structure:
         return self.refraction.refracted(draws) if self.refraction else draws
 
     def deferred(
-        self, parts: Sequence[ResolvedPart], draws: Sequence[Draw], samples: int
+        self,
+        parts: Sequence[ResolvedPart],
+        draws: Sequence[Draw],
+        samples: int,
+        marks: bool = True,
     ) -> tuple[Draw, ...]:
         """Return deferred draws, two for each part: the first marks the pixels that show the part
         by a depth of its own, and the second draws these pixels.
 
         parts, draws : in the order in which "visible" counts triangles
+        marks : false for one draw of each part, which discards the other pixels
         """
-        rate, deferred = ("PIXEL_RATE",) * (self.rate == "pixel"), []
-        program = Program("visible.frag", "screen.vert", (f"SAMPLES {samples}",))
+        rate, count = ("PIXEL_RATE",) * (self.rate == "pixel"), f"SAMPLES {samples}"
+        program, deferred = Program("visible.frag", "screen.vert", (count,)), []
         for number, ((part, first), draw) in enumerate(zip(numbered(parts), draws, strict=True)):
-            depth = number / len(parts)
-            mark = {"depth": depth, "triangles": (first, len(part.part.faces))}
-            deferred += [
-                Draw(program, mark, part, "part", "mark"),
-                where_visible(draw, part, first, samples, depth, *rate),
-            ]
+            uniforms = {"triangles": (first, len(part.part.faces)), "depth": number / len(parts)}
+            if marks:
+                deferred.append(Draw(program, uniforms, part, "part", "mark"))
+            features = "VISIBLE", *rate, count, *table_features(part.part)
+            part_program = replace(draw.program, vertex="screen.vert").having(*features)
+            all_uniforms = {**draw.uniforms, **uniforms}
+            depth: Literal["marked", "visible"] = "marked" if marks else "visible"
+            deferred.append(Draw(part_program, all_uniforms, part, "part", depth))
         if samples == 1:  # no pixel shows two parts: all marks first, for fewer changes of state
             deferred.sort(key=lambda draw: draw.depth == "marked")
         return tuple(deferred)
@@ -208,20 +215,6 @@ def visible_pass(parts: Sequence[tuple[ResolvedPart, int]], samples: int) -> Pas
         draws.append(Draw(program, {"first": first}, part, None, "test", order, not single))
     target = Target((1,), samples, sampled=True, resolved=False)
     return Pass("visible", target, tuple(draws))
-
-
-def where_visible(
-    draw: Draw, part: ResolvedPart, first: int, samples: int, depth: float, *features: str
-) -> Draw:
-    """Return the draw of a part where it is marked.
-
-    first : index of the part's first triangle
-    depth : depth of the mark
-    """
-    names = "VISIBLE", *features, f"SAMPLES {samples}", *table_features(part.part)
-    program = replace(draw.program, vertex="screen.vert").having(*names)
-    uniforms = {**draw.uniforms, "triangles": (first, len(part.part.faces)), "depth": depth}
-    return Draw(program, uniforms, part, "part", "marked")
 
 
 def image_passes(of: Structure, only: Only | None) -> list[Pass]:
