@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, nullcontext
@@ -26,7 +27,8 @@ from pathlib import Path
 from typing import Any
 
 from facerender.batch import supervisor
-from facerender.batch.records import Chunk, Settings, Storage, Writer, begin, commit
+from facerender.batch.jobs import Chunk, Settings
+from facerender.batch.records import Storage, Writer, begin, commit
 from facerender.batch.supervisor import Outcome
 from facerender.commands import main as facerender
 
@@ -49,7 +51,7 @@ class Nothing(Executor):
 
     def answer(self, settings: Settings, chunk: Chunk) -> Outcome:
         """Return the outcome of a chunk."""
-        return Outcome(chunk.number, len(chunk.rows), 0, (), 0.0, (), "", "none")
+        return Outcome(chunk.number, Counter(done=len(chunk.rows)), worker="none")
 
 
 class Small(Nothing):

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 import psutil
 
-from facerender.batch.jobs import JobTable
-from facerender.batch.records import Settings, chunks, code_version
+from facerender.batch.jobs import JobTable, Settings, chunks, code_version
 from facerender.batch.supervisor import Supervisor
 from facerender.system.files import data_dir
 

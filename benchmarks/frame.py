@@ -21,7 +21,7 @@ from benchmarks.data import meshes, save, scenes
 from facerender.images.image import linear_to_srgb
 from facerender.planning.decisions import Decision
 from facerender.pricing.cost import ratio
-from facerender.scene.file import MAX_SAMPLES
+from facerender.scene.job import MAX_SAMPLES
 from facerender.scene.scene import SHADING_RATES, ShadingRate
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.subjects import Subject

@@ -40,6 +40,7 @@ from PIL import Image
 import facerender as fr
 from facerender.images.files import read_image
 from facerender.images.image import linear_to_srgb
+from facerender.scene.light import LIGHTS
 from facerender.terms import FRESNEL, MASKING
 
 
@@ -97,7 +98,7 @@ def changes(count: int, size: int, samples: int) -> Iterator[None]:
             m = 0.1 + 5e-6 * (number - number % 5000)
             shading = fr.Shading(**terms[random.integers(len(terms))], m=m)
             camera = fr.Camera(azimuth=float(number % 360))
-            light = replace(fr.Scene.lights[0], shadow=number % 20 == 0)
+            light = replace(LIGHTS["key"], shadow=number % 20 == 0)
             renderer.render(fr.Scene(mesh, camera, (light,)), shading)
             if number % 1000 == 0 and renderer.render(scene).linear.tobytes() != expected:
                 raise SystemExit(f"frame {number}: an unchanged scene renders to another image")

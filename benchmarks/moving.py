@@ -29,6 +29,7 @@ import numpy as np
 from run import HEAD, HERE, frames_of, in_turns, report, resident, started
 
 import facerender as fr
+from facerender.scene.scene import default_lights
 
 FPS = 25
 SECONDS = 2.0
@@ -58,7 +59,7 @@ def waves(mesh: fr.Mesh, count: int) -> list[list[np.ndarray]]:
 
 def against_static(frames: int, samples: int, shadows: bool) -> None:
     mesh = fr.load_mesh(HEAD).select("head")
-    lights = tuple(replace(each, shadow=shadows) for each in fr.Scene.lights)
+    lights = tuple(replace(each, shadow=shadows) for each in default_lights(False))
     moved, normals = waves(mesh, 6), [part.normals for part in mesh.parts]
     with fr.Renderer(samples=samples) as renderer:
 

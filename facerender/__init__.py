@@ -54,13 +54,14 @@ if TYPE_CHECKING:
     from facerender.glsl.library import shader_dir as shader_dir
     from facerender.glsl.library import shader_source as shader_source
     from facerender.images.animation import save_animation as save_animation
+    from facerender.loading import MeshFile as MeshFile
     from facerender.loading import load_mesh as load_mesh
     from facerender.material import Material as Material
-    from facerender.mesh.face import Face as Face
     from facerender.mesh.mesh import Mesh as Mesh
     from facerender.mesh.mesh import find_face as find_face
     from facerender.mesh.mesh import tracked as tracked
     from facerender.mesh.occlusion import with_occlusion as with_occlusion
+    from facerender.mesh.part import Face as Face
     from facerender.mesh.simplify import simplified as simplified
     from facerender.planning.plan import Plan as Plan
     from facerender.planning.plan import plan as plan
@@ -71,15 +72,14 @@ if TYPE_CHECKING:
     from facerender.scene.environment import EnvironmentFile as EnvironmentFile
     from facerender.scene.environment import Panorama as Panorama
     from facerender.scene.environment import load_environment as load_environment
-    from facerender.scene.file import ImageSettings as ImageSettings
-    from facerender.scene.file import Pose as Pose
-    from facerender.scene.file import load_scene as load_scene
+    from facerender.scene.job import ImageSettings as ImageSettings
     from facerender.scene.job import Job as Job
-    from facerender.scene.job import MeshFile as MeshFile
     from facerender.scene.job import Output as Output
+    from facerender.scene.job import load_scene as load_scene
     from facerender.scene.landmarks import Landmarks as Landmarks
     from facerender.scene.landmarks import load_landmarks as load_landmarks
     from facerender.scene.light import Light as Light
+    from facerender.scene.pose import Pose as Pose
     from facerender.scene.scene import Scene as Scene
     from facerender.scene.shading import Shading as Shading
     from facerender.scene.shading import Term as Term
@@ -98,9 +98,9 @@ _HOMES = {
     "errors": ("ContextError", "FacerenderError", "FacerenderWarning", "InputError"),
     "glsl.library": ("moderngl_includes", "resolve_includes", "shader_dir", "shader_source"),
     "images.animation": ("save_animation",),
-    "loading": ("load_mesh",),
+    "loading": ("MeshFile", "load_mesh"),
     "material": ("Material",),
-    "mesh.face": ("Face",),
+    "mesh.part": ("Face",),
     "mesh.mesh": ("Mesh", "find_face", "tracked"),
     "mesh.occlusion": ("with_occlusion",),
     "mesh.simplify": ("simplified",),
@@ -108,10 +108,10 @@ _HOMES = {
     "scene.camera": ("Camera", "turntable"),
     "scene.cameras": ("load_cameras",),
     "scene.environment": ("Environment", "EnvironmentFile", "Panorama", "load_environment"),
-    "scene.file": ("ImageSettings", "Pose", "load_scene"),
-    "scene.job": ("Job", "MeshFile", "Output"),
+    "scene.job": ("ImageSettings", "Job", "Output", "load_scene"),
     "scene.landmarks": ("Landmarks", "load_landmarks"),
     "scene.light": ("Light",),
+    "scene.pose": ("Pose",),
     "scene.scene": ("Scene",),
     "scene.shading": ("Shading", "Term"),
     "scene.view": ("View", "shifted", "view_of"),

@@ -4,12 +4,10 @@ message is one line that names the thing, the value and the remedy."""
 from __future__ import annotations
 
 import numbers
-import os
 import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import MISSING, fields
 from typing import Any
 
 _LONGEST = 500  # maximum characters of a message, which may quote long texts
@@ -74,7 +72,7 @@ def number_of(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def shown(value: Any) -> str:
+def quoted(value: Any) -> str:
     """Return the repr of a value for a message: one line of limited length."""
     try:
         return clipped(repr(value), 120)
@@ -90,7 +88,7 @@ def reason(error: Exception) -> str:
     return clipped(str(error)) or type(error).__name__
 
 
-def near(name: str, known: Iterable[str]) -> str:
+def closest_name(name: str, known: Iterable[str]) -> str:
     """Return the known name that is most similar to a name, or "" if no name is similar."""
     from difflib import get_close_matches
 
@@ -106,63 +104,16 @@ def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError unless a value is a number in [low, high]."""
     if not is_number(value):
         raise InputError(
-            f"{name} = {shown(value)} is not a number: give a number in [{low:g}, {high:g}]"
+            f"{name} = {quoted(value)} is not a number: give a number in [{low:g}, {high:g}]"
         )
     if not low <= value <= high:
         raise InputError(
-            f"{name} = {shown(value)} is outside [{low:g}, {high:g}]: give a value in this range"
+            f"{name} = {quoted(value)} is outside [{low:g}, {high:g}]: give a value in this range"
         )
 
 
-def check_type(name: str, value: Any, kinds: Any, remedy: str) -> None:
-    """Raise InputError unless a value is an instance of ``kinds``."""
-    if not isinstance(value, kinds):
-        raise InputError(f"{name} = {shown(value)}: give {remedy}")
-
-
-def check_known(kind: str, value: Any, known: Iterable[str]) -> None:
-    """Raise InputError unless a value is one of the known names of a kind."""
+def check_known(noun: str, value: Any, known: Iterable[str]) -> None:
+    """Raise InputError unless a value is one of the known names; ``noun`` names the value."""
     names = [*known]
     if not isinstance(value, str) or value not in names:
-        raise InputError(f"unknown {kind} {shown(value)}; known: {', '.join(names)}")
-
-
-def check_switch(name: str, value: Any) -> None:
-    """Raise InputError unless a value is a bool."""
-    check_type(name, value, bool, "true or false")
-
-
-def check_path(name: str, value: Any) -> None:
-    """Raise InputError unless a value is a path with at least one character."""
-    check_type(name, value, str | os.PathLike, "a path as text")
-    if not os.fspath(value):
-        raise InputError(f"{name} is empty: give a path")
-
-
-def each_of(name: str, values: Any, kind: Any, remedy: str) -> tuple[Any, ...]:
-    """Return values as a tuple.
-
-    Raises
-    ------
-    InputError : a value is not an instance of ``kind``
-    """
-    elements = tuple(values) if isinstance(values, Iterable) else (values,)
-    if not all(isinstance(element, kind) for element in elements):
-        raise InputError(f"{name} = {shown(values)}: give {remedy}")
-    return elements
-
-
-def parameters(value: Any) -> dict[str, Any]:
-    """Return the fields of a dataclass. As ``__getstate__``, pickles omit its cached properties."""
-    return {field.name: getattr(value, field.name) for field in fields(value)}
-
-
-def short_repr(value: Any) -> str:
-    """Return the repr of a dataclass with only the fields that differ from their defaults."""
-    words = []
-    for field in fields(value):
-        field_value = getattr(value, field.name)
-        factory = field.default_factory
-        if field.repr and field_value != (field.default if factory is MISSING else factory()):
-            words.append(f"{field.name}={field_value!r}")
-    return f"{type(value).__name__}({', '.join(words)})"
+        raise InputError(f"unknown {noun} {quoted(value)}; known: {', '.join(names)}")

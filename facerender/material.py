@@ -5,16 +5,27 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_known, check_type, parameters, short_repr, shown
+from facerender.errors import InputError, check_known, quoted
 from facerender.terms.lobe import MIN_SLOPE, SLOPES
-from facerender.texture.texture import MOST_TEXELS, Texture, pack
-from facerender.values.ranges import FRACTION, Range, check_fields, ranged
-from facerender.values.vectors import COLORS, MOST_RADIANCE, Vector
+from facerender.texture.texture import MAX_TEXELS, Texture, pack
+from facerender.values.fields import (
+    FRACTION,
+    SWITCH,
+    Choice,
+    Instance,
+    Limits,
+    Range,
+    build,
+    field,
+    record,
+)
+from facerender.values.vectors import COLORS, MAX_RADIANCE, Vector, numbers_in
 
 if TYPE_CHECKING:
     from facerender.terms.transport import Gaussians
@@ -31,106 +42,154 @@ MAPS = (
     *("lobe_map", "opacity_map", "emissive_map"),
 )
 MAX_NORMAL_STRENGTH = 100.0
-WEIGHTS = Range(0.0, 1e6)  # specular and diffuse weights
+# Specular and diffuse weights. Their products with any radiance stay within float32.
+WEIGHTS = Range(0.0, 1e6)
+# Maps are objects: scene files and tables change factors, MeshFile has the image files.
+_TEXTURE = Instance(Texture, "facerender.Texture.open(FILE)")
+
+
+# A mesh file may set some factors; the default of the record then does not apply.
+def _or_file(default: float) -> str:
+    return f"{default:g} or the mesh file's"
 
 
 @dataclass(frozen=True)
+class _MapNames(Limits):
+    """Names of maps, in a list or in a text with commas, as ``--part`` has them."""
+
+    def check(self, name: str, value: Any) -> Any:
+        names = value.split(",") if isinstance(value, str) else value
+        if not isinstance(names, tuple | list) or any(n not in MAPS for n in names):
+            raise InputError(f"{name} = {quoted(names)}: give some of {', '.join(MAPS)}")
+        return tuple(names)
+
+
+class _Profiles(Limits):
+    """The name of a scattering profile, or its Gaussians; "none" stands for None."""
+
+    def check(self, name: str, value: Any) -> Any:
+        if isinstance(value, str) and value == "none":
+            return None
+        # Most materials do not scatter, and need no import.
+        from facerender.terms.transport import profile_of
+
+        return profile_of(value)
+
+
+@record()
 class Material:
     """Reflectance of a part: factors and maps.
 
     Parameters
     ----------
-    albedo : fraction of light that is reflected diffusely, linear RGB
-    m : roughness, the RMS slope of the microfacets, in [1e-4, 2]; unused with a roughness map
-    roughness_factor : factor on the roughness map, in [0, 1]; m = (factor * texel)^2, as in glTF
-    f0 : Fresnel reflectance at normal incidence, in [0, 1)
-    ks, kd : specular and diffuse weights, >= 0. A bare dielectric has ks = 1. For powdered skin,
-        GPU Gems 3, chapter 14, gives ks = 0.18.
-    second_slope : second specular lobe's m / first lobe's m, in [0.01, 100]; 1 for no second lobe
-    lobe_weight : fraction of ks that the first lobe gets, in [0, 1]; 1 for no second lobe
     albedo_map, normal_map, roughness_map, specular_map, occlusion_map : textures or None. Of these,
         only the albedo map is sRGB-encoded. Albedo map and specular map multiply albedo and ks. The
         normal map has green pointing up. The occlusion map dims ambient light.
     lobe_map : texture or None. The red channel multiplies 1 - lobe_weight, the second lobe's
         fraction of ks: white for sweat or oil, black for dry skin.
-    scattering : subsurface scattering: "skin", Gaussians, or None or "none" for no scattering. A
-        Gaussian has a variance in mm^2 and weights of red, green and blue. For each channel the sum
-        of all Gaussians' weights is at most 1; the remaining light leaves where it enters.
-    alpha : use of the opacity: "opaque" ignores it; "mask" discards fragments with an opacity below
-        ``alpha_cutoff``; "blend" makes the part transparent. A transparent part is drawn after all
-        other parts, casts no shadow and does not scatter.
-    opacity : opacity of the part, in [0, 1]; 1 is opaque
-    alpha_cutoff : smallest opacity that "mask" draws, >= 0
     opacity_map : grey texture or None; multiplies the opacity
-    emissive : emitted linear radiance, >= 0; it does not light other surfaces
     emissive_map : sRGB-encoded texture or None; multiplies emissive
-    normal_strength : factor on x and y of the normal map's texels, in [0, 100]
-    occlusion_strength : strength s of the occlusion map, in [0, 1]; occlusion = 1 + s (texel - 1)
-    second_uv : names of the maps that use the part's second texture coordinates
-    transmission : fraction of the diffuse light that passes through the surface instead, in [0, 1],
-        as in KHR_materials_transmission of glTF. The diffuse term is multiplied by
-        1 - transmission, the specular term is not. A part with transmission casts no shadow. With
-        ``refraction`` 1 it is drawn as a transparent part, whatever ``alpha`` is
-    refraction : index of refraction behind a surface with transmission, in [1, 3]; 1 is a thin
-        surface, which does not bend light
-    double_sided : whether back faces are drawn, as doubleSided of glTF. None: a new mesh sets it to
-        false if the part belongs to closed surfaces, otherwise to true. Both sides cast shadows
     """
 
-    albedo: Vector = ranged(COLORS, SKIN_ALBEDO)
-    m: float = ranged(SLOPES, 0.3)
-    roughness_factor: float = ranged(FRACTION, 1.0)
-    f0: float = ranged(Range(0.0, 0.999), 0.028)
-    ks: float = ranged(WEIGHTS, 1.0)
-    kd: float = ranged(WEIGHTS, 1.0)
-    second_slope: float = ranged(Range(0.01, 100.0), 1.0)
-    lobe_weight: float = ranged(FRACTION, 1.0)
-    albedo_map: Texture | None = None
-    normal_map: Texture | None = None
-    roughness_map: Texture | None = None
-    specular_map: Texture | None = None
-    occlusion_map: Texture | None = None
-    lobe_map: Texture | None = None
-    scattering: str | Gaussians | None = None
-    alpha: Alpha = "opaque"
-    opacity: float = ranged(FRACTION, 1.0)
-    alpha_cutoff: float = ranged(Range(0.0, MOST_RADIANCE), 0.5)
-    opacity_map: Texture | None = None
-    emissive: Vector = ranged(COLORS, (0.0, 0.0, 0.0))
-    emissive_map: Texture | None = None
-    normal_strength: float = ranged(Range(0.0, MAX_NORMAL_STRENGTH), 1.0)
-    occlusion_strength: float = ranged(FRACTION, 1.0)
-    second_uv: tuple[str, ...] = ()
-    transmission: float = ranged(FRACTION, 0.0)
-    refraction: float = ranged(Range(1.0, 3.0), 1.0)
-    double_sided: bool | None = None
-
-    __repr__ = short_repr
-    __getstate__ = parameters
+    albedo: Vector = field(
+        COLORS, SKIN_ALBEDO, "fraction of light that is reflected diffusely, linear RGB"
+    )
+    m: float = field(
+        SLOPES, 0.3, "RMS slope of the microfacets", "Replaces the roughness map", _or_file(0.3)
+    )
+    roughness_factor: float = field(
+        FRACTION, 1.0, "factor on the roughness map: m = (factor * texel)^2, as in glTF"
+    )
+    f0: float = field(
+        Range(0.0, 0.999), 0.028, "Fresnel reflectance at normal incidence", unset=_or_file(0.028)
+    )
+    ks: float = field(
+        WEIGHTS,
+        1.0,
+        "specular weight",
+        "1 is a bare dielectric; for powdered skin, GPU Gems 3, chapter 14, has 0.18",
+        _or_file(1),
+    )
+    kd: float = field(WEIGHTS, 1.0, "diffuse weight")
+    second_slope: float = field(
+        Range(0.01, 100.0), 1.0, "m of a second lobe, as a factor of m", unset="1: one lobe"
+    )
+    lobe_weight: float = field(
+        FRACTION, 1.0, "fraction of the first lobe", "It is a fraction of ks", "1: one lobe"
+    )
+    albedo_map: Texture | None = field(_TEXTURE, None)
+    normal_map: Texture | None = field(_TEXTURE, None)
+    roughness_map: Texture | None = field(_TEXTURE, None)
+    specular_map: Texture | None = field(_TEXTURE, None)
+    occlusion_map: Texture | None = field(_TEXTURE, None)
+    lobe_map: Texture | None = field(_TEXTURE, None)
+    scattering: str | Gaussians | None = field(
+        _Profiles(),
+        None,
+        "subsurface scattering",
+        'Names are "skin" and "none". Gaussians have a variance in mm^2 and weights of red, green '
+        "and blue. For each channel the sum of all Gaussians' weights is at most 1; the remaining "
+        "light leaves where it enters",
+        "none",
+    )
+    alpha: Alpha = field(
+        Choice(get_args(Alpha), "alpha"),
+        "opaque",
+        "use of the opacity: opaque ignores it; mask discards fragments with an opacity below "
+        "``alpha_cutoff``; blend makes the part transparent. A transparent part is drawn after all "
+        "other parts, casts no shadow and does not scatter",
+    )
+    opacity: float = field(FRACTION, 1.0, "opacity of the part; 1 is opaque")
+    alpha_cutoff: float = field(
+        Range(0.0, MAX_RADIANCE), 0.5, "smallest opacity that the alpha mask draws"
+    )
+    opacity_map: Texture | None = field(_TEXTURE, None)
+    emissive: Vector = field(
+        COLORS, (0.0, 0.0, 0.0), "emitted linear radiance; it does not light other surfaces"
+    )
+    emissive_map: Texture | None = field(_TEXTURE, None)
+    normal_strength: float = field(
+        Range(0.0, MAX_NORMAL_STRENGTH),
+        1.0,
+        "factor on the slopes of normal maps",
+        unset=_or_file(1),
+    )
+    occlusion_strength: float = field(
+        FRACTION, 1.0, "strength s of the occlusion map: occlusion = 1 + s (texel - 1)"
+    )
+    second_uv: tuple[str, ...] = field(
+        _MapNames(), (), "names of the maps that use the part's second texture coordinates"
+    )
+    transmission: float = field(
+        FRACTION,
+        0.0,
+        "fraction of the diffuse light that passes through the surface instead, as in "
+        "KHR_materials_transmission of glTF. The diffuse term is multiplied by 1 - transmission, "
+        "the specular term is not. A part with transmission casts no shadow. With ``refraction`` 1 "
+        "it is drawn as a transparent part, whatever ``alpha`` is",
+    )
+    refraction: float = field(
+        Range(1.0, 3.0),
+        1.0,
+        "index of refraction behind a surface with transmission; 1 is a thin surface, which does "
+        "not bend light",
+    )
+    double_sided: bool | None = field(
+        SWITCH,
+        None,
+        "whether back faces are drawn, as doubleSided of glTF. None: a new mesh sets it to false "
+        "if the part belongs to closed surfaces, otherwise to true. Both sides cast shadows",
+    )
 
     def __post_init__(self) -> None:
-        check_fields(self)
         if self.two_lobes and self.roughness_map is None:
+            # Both factors may be in their ranges, and their product may not.
             SLOPES.check("m times second_slope", self.m * self.second_slope)
-        check_known("alpha", self.alpha, get_args(Alpha))
-        names = self.second_uv
-        names = names.split(",") if isinstance(names, str) else names  # the text of --part
-        if not isinstance(names, tuple | list) or any(name not in MAPS for name in names):
-            raise InputError(f"second_uv = {shown(names)}: give some of {', '.join(MAPS)}")
-        object.__setattr__(self, "second_uv", tuple(names))
-        remedy = "facerender.Texture.open(FILE) or None"
-        for name in MAPS:
-            check_type(name, getattr(self, name), Texture | None, remedy)
         for name in ("albedo_map", "emissive_map"):
             if (texture := getattr(self, name)) is not None:
                 object.__setattr__(self, name, texture.in_srgb())
-        if self.scattering is not None:
-            from facerender.terms.transport import profile_of
 
-            none = isinstance(self.scattering, str) and self.scattering == "none"
-            object.__setattr__(self, "scattering", None if none else profile_of(self.scattering))
-
-    @property
+    @cached_property
     def two_lobes(self) -> bool:
         """Whether there is a second lobe that differs from the first."""
         return self.second_slope != 1.0 and self.lobe_weight < 1.0
@@ -166,7 +225,7 @@ class Material:
         """The maps named in PROPERTY_MAPS."""
         return self.occlusion_map, self.roughness_map, self.specular_map
 
-    @property
+    @cached_property
     def packs(self) -> bool:
         """Whether the maps in PROPERTY_MAPS are packed in one texture."""
         pairs = zip(PROPERTY_MAPS, self.properties, strict=True)
@@ -177,12 +236,12 @@ class Material:
         names = PROPERTY_MAPS if name == "property_map" else (name,)
         return any(n in self.second_uv and getattr(self, n) is not None for n in names)
 
-    @property
+    @cached_property
     def thin(self) -> bool:
         """Whether light passes through the surface without being refracted."""
         return self.transmission > 0.0 and self.refraction == 1.0
 
-    @property
+    @cached_property
     def refracts(self) -> bool:
         """Whether light passes through the surface and is refracted."""
         return self.transmission > 0.0 and self.refraction > 1.0
@@ -192,7 +251,7 @@ class Material:
         """Whether the surface shows light that it does not reflect: emitted or refracted light."""
         return any(self.emissive) or self.refracts
 
-    @property
+    @cached_property
     def diffuse_weight(self) -> float:
         """Weight of the diffuse term."""
         return self.kd * (1.0 - self.transmission)
@@ -207,13 +266,13 @@ class Material:
 
 
 def check_maps(name: str, materials: Sequence[Material]) -> None:
-    """Raise InputError if the maps of a mesh have more than MOST_TEXELS in total."""
+    """Raise InputError if the maps of a mesh have more than MAX_TEXELS in total."""
     maps: set[Texture | None] = set()
     for material in materials:
         names = set(MAPS) - set(PROPERTY_MAPS) | {"property_map"} if material.packs else MAPS
         maps.update(getattr(material, name) for name in names)
-    if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MOST_TEXELS:
-        limit = f"more than {MOST_TEXELS / 1e6:.0f} million: make them smaller"
+    if (total := sum(math.prod(texture.size) for texture in maps if texture)) > MAX_TEXELS:
+        limit = f"more than {MAX_TEXELS / 1e6:.0f} million: make them smaller"
         raise InputError(f"the maps of {name} have {total / 1e6:.0f} million texels, {limit}")
 
 
@@ -230,10 +289,11 @@ def reflectance(index: float) -> float:
 
 # The fields that every preset sets: these values, unless the preset has its own.
 COMMON: dict[str, Any] = {
-    field.name: field.default
-    for field in fields(Material)
-    if field.name in ("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity")
-    or field.name in ("transmission", "refraction", "emissive")
+    name: getattr(Material, name)
+    for name in (
+        *("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity"),
+        *("emissive", "transmission", "refraction"),
+    )
 }
 _LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
 _SPECIFIC: dict[str, dict[str, Any]] = {
@@ -273,6 +333,82 @@ def preset(name: Any) -> Mapping[str, Any]:
     return PRESETS[name]
 
 
+@dataclass(frozen=True)
+class Factors(Limits):
+    """A table of fields of :class:`Material` except its maps. The values are converted.
+
+    presets : whether the table may also have ``preset``
+    """
+
+    presets: bool = False
+
+    def check(self, name: str, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            remedy = "a table of factors, or a preset, such as {'m': 0.3}"
+            raise InputError(f"{name} = {quoted(value)}: give {remedy}")
+        table = dict(value)
+        chosen = {"preset": table.pop("preset")} if self.presets and "preset" in table else {}
+        base = preset(chosen["preset"]) if chosen else {}
+        material = build(Material, {**base, **table}, name)
+        # Names stay names: a file states "skin", not the Gaussians of skin.
+        return {
+            key: (value if isinstance(value, str) else getattr(material, key))
+            for key, value in table.items()
+        } | chosen
+
+
+class PartFactors(Limits):
+    """Factors of some parts: for each name of parts, which may have wildcards, a table of fields of
+    :class:`Material` except its maps, and ``preset``."""
+
+    def check(self, name: str, value: Any) -> Any:
+        if not isinstance(value, Mapping):
+            remedy = "a table of parts, such as {'lash*': {'preset': 'lashes'}}"
+            raise InputError(f"{name} = {quoted(value)}: give {remedy}")
+        for pattern in value:
+            if not isinstance(pattern, str) or not pattern.strip():
+                raise InputError(f"{name} has the key {quoted(pattern)}: give the name of a part")
+        return {key: Factors(True).check(f"{name}.{key}", table) for key, table in value.items()}
+
+
+def parse_part(text: str) -> tuple[str, dict[str, Any]]:
+    """Parse the material of parts from the text ``NAME=PRESET``, ``NAME,FIELD=VALUE,...`` or
+    ``NAME=PRESET,FIELD=VALUE,...``. A colour is three numbers with commas. Raises InputError if the
+    text has another form, or a value is outside its range."""
+    first, *words = re.split(",(?=[^,]*=)", text)
+    pattern, _, preset = first.partition("=")
+    if not pattern or "," in first or not (preset or words):
+        raise InputError(
+            f"--part {quoted(text)}: give NAME=PRESET or NAME,FIELD=VALUE, such as 'eye*=sclera' "
+            f"or 'lash*,opacity=0.8'; presets: {', '.join(PRESETS)}"
+        )
+    table: dict[str, Any] = {"preset": preset} if preset else {}
+    for word in words:
+        name, _, value = word.partition("=")
+        numbers = numbers_in(value.split(","))
+        table[name.strip()] = (
+            value == "true"
+            if value in ("true", "false")
+            else numbers[0]
+            if len(numbers) == 1
+            else tuple(numbers) or value
+        )
+    return pattern, Factors(True).check(f"--part.{pattern}", table)
+
+
+def part_text(pattern: str, table: Mapping[str, Any]) -> str:
+    """Return the text of the materials of parts that :func:`parse_part` parses."""
+    factors = dict(table)
+    preset = f"={factors.pop('preset')}" if "preset" in factors else ""
+    words = [
+        f"{name}={','.join(f'{number:g}' for number in value)}"
+        if isinstance(value, tuple | list)
+        else f"{name}={str(value).lower() if isinstance(value, bool) else value}"
+        for name, value in factors.items()
+    ]
+    return ",".join([f"{pattern}{preset}", *words])
+
+
 def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """Return a material with the values of a table.
 
@@ -284,7 +420,7 @@ def changed(material: Material, table: Mapping[str, Any]) -> Material:
     """
     values = dict(table)
     if "m" in values and values.get("roughness_map") is not None:
-        pair = f"m = {shown(values['m'])} and roughness_map"
+        pair = f"m = {quoted(values['m'])} and roughness_map"
         raise InputError(f"{pair} exclude each other: leave one out")
     if (name := values.pop("preset", None)) is not None:
         preset_fields = dict(preset(name))
@@ -308,4 +444,4 @@ def without_effect(
     for name, (needed, has) in _NEEDED.items():
         differs = name in table and any(table[name] != getattr(material, name) for material in old)
         if differs and not any(map(has, new)):
-            yield f"{name} = {shown(table[name])} has no effect without {needed}"
+            yield f"{name} = {quoted(table[name])} has no effect without {needed}"

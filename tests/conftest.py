@@ -19,10 +19,9 @@ import pytest
 
 import facerender as fr
 from facerender.drawing.context import Backend, Context, create_context
-from facerender.mesh import framing
+from facerender.mesh import framing, simplify
 from facerender.mesh.face import Surface
 from facerender.pricing.cost import Interval
-from facerender.system import meshoptimizer
 from tests.verification import chromium
 from tests.verification.scan import TEST_DATA, load_scan, scan_folder
 
@@ -168,16 +167,16 @@ def cache_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def measured_gain(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every plan measure a gain, since a plan without a gain is the full frame."""
     gain = Interval(0.5, 0.4, 0.625)
-    monkeypatch.setattr("facerender.planning.plan.relative_time", lambda *_: gain)
+    monkeypatch.setattr("facerender.planning.search.relative_time", lambda *_: gain)
 
 
 @pytest.fixture
 def no_meshoptimizer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Hide meshoptimizer, as if the extra ``lod`` were not installed."""
-    monkeypatch.setattr(meshoptimizer, "find_spec", lambda name: None)
-    meshoptimizer.library.cache_clear()
+    monkeypatch.setattr(simplify, "find_spec", lambda name: None)
+    simplify.library.cache_clear()
     yield
-    meshoptimizer.library.cache_clear()
+    simplify.library.cache_clear()
 
 
 @pytest.fixture

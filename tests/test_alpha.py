@@ -12,18 +12,17 @@ import facerender as fr
 from facerender.drawing import reference
 from facerender.drawing.compiled import CompiledFrame
 from facerender.drawing.frame_passes import can_defer
+from facerender.drawing.maps import regions_of
 from facerender.drawing.prepare import resolve
-from facerender.drawing.refraction import regions_of
 from facerender.errors import InputError
 from facerender.explorer.page import drawable, lost_features
 from facerender.material import MAPS, Material
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
-from facerender.scene.file import load_scene, scene_toml
-from facerender.scene.job import Job
-from facerender.scene.light import parse_light
+from facerender.scene.job import Job, load_scene, scene_toml
 from facerender.texture.texture import Texture
 from tests.meshes import with_geometry
+from tests.settings import parse_light
 from tests.test_lod import grid
 from tests.test_lod import mesh_of as shaped
 from tests.verification.eye import CLEAR, camera, cap, disc, eye, iris_errors
@@ -122,11 +121,9 @@ def test_texture_sampling_is_stored_and_checked():
     assert other.levels("data") is plain.levels("data")  # decoded once
     assert other.channel(0, "red").sampling == other.sampling
     assert other.sampled(("repeat", "repeat")).rgb() == plain.rgb()
-    for wrap in ("repeat", ("repeat",), ("repeat", "border"), ("repeat", None), None):
+    for wrap in ("repeat", ("repeat",), ("repeat", "border"), ("repeat", None)):
         with pytest.raises(InputError, match="wrap"):
             plain.sampled(wrap)
-    with pytest.raises(InputError, match="nearest"):
-        plain.sampled(("clamp", "clamp"), nearest=1)
 
 
 def quad(z=0.0, size=1.0, **columns):
@@ -464,10 +461,10 @@ def test_blended_parts_are_drawn_over_deferred_shading(
     bare = with_geometry(whole, parts=parts[:2], materials=whole.materials[:2])
     settings = {"camera": fr.Camera(20.0, zoom=2.0), "lights": LIGHTS, "background": (0.1,) * 3}
     scene, without = fr.Scene(shells, **settings), fr.Scene(bare, **settings)
-    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, None, 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, (0.0, 0.0, 0.0), 16384)
     images = []
     for deferred in (True, False):
-        name = "facerender.drawing.renderer.deferred_is_cheaper"
+        name = "facerender.drawing.frame_passes.deferred_is_cheaper"
         monkeypatch.setattr(name, lambda *_, on=deferred: on)
         with fr.Renderer((160, 160), samples=4, backend=backend) as renderer:
             images.append([renderer.render(scene, samples=n).linear for n in (1, 4, 16)])
@@ -626,10 +623,10 @@ def test_every_effect_agrees_with_float64(wide):
 @pytest.mark.slow
 def test_forward_deferred_and_per_pixel_shading_agree(backend, monkeypatch):
     scene = fr.Scene(eye(ks=1.0), camera(35.0), EYE_LIGHTS)
-    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, None, 16384)
+    assert can_defer(resolve(scene, fr.Shading()).appearance.unblended, (0.0, 0.0, 0.0), 16384)
     images = []
     for deferred in (False, True):
-        name = "facerender.drawing.renderer.deferred_is_cheaper"
+        name = "facerender.drawing.frame_passes.deferred_is_cheaper"
         monkeypatch.setattr(name, lambda *_, on=deferred: on)
         with fr.Renderer((128, 128), samples=4, backend=backend) as renderer:
             images += [renderer.render(scene, samples=n).linear for n in (1, 4, 16)]
@@ -705,7 +702,7 @@ def test_each_region_has_a_map(wide):
         for own, color in zip(apart, colors, strict=True)
     ]
     two = Mesh.of("eyes", parts, one.materials)
-    assert len(regions_of(two.setups[CLEAR], two)) == 2
+    assert len(regions_of(two.setups[CLEAR], two.setups)) == 2
     light = {"lights": (), "ambient": 3.0}
     middle = np.s_[100:156, 100:156, :3]
     alone = wide.render(fr.Scene(one, fov(0.0), **light)).linear[middle]
@@ -714,7 +711,7 @@ def test_each_region_has_a_map(wide):
         assert np.abs(alone - beside).max() < 0.01
     shell = cap(-12.6, 12.6, 0.0, np.pi, 24, 64)
     closed = Mesh.of("shell", [*one.parts[:CLEAR], shell], one.materials)
-    (region,) = regions_of(closed.setups[CLEAR], closed)
+    (region,) = regions_of(closed.setups[CLEAR], closed.setups)
     np.testing.assert_allclose(region.matrix[:2, 2], 0.0, atol=1e-6)
     image = wide.render(fr.Scene(closed, fov(0.0), **light)).linear[middle]
     assert np.abs(image - alone).mean() < 0.1
@@ -733,7 +730,7 @@ def test_many_regions_share_one_map(wide):
     ]
     for count, maps in ((1, 1), (8, 8), (9, 1)):
         mesh = Mesh.of("lenses", [joined(row[:count])], eye().materials[CLEAR:])
-        regions = regions_of(mesh.setups[0], mesh)
+        regions = regions_of(mesh.setups[0], mesh.setups)
         assert len(regions) == maps
         assert sum(len(each.faces) for each in regions) == len(mesh.parts[0].faces)
     agrees(wide, fr.Scene(mesh, fr.Camera(), EYE_LIGHTS))

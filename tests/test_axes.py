@@ -396,7 +396,7 @@ def test_up_auto_is_stored_in_the_cache(tmp_path, cache_folder, monkeypatch):
     file = fr.MeshFile(str(path), up="auto")
     first = fr.load_mesh(path, up="auto", cache=True)
     wait_for_cache()
-    monkeypatch.setattr("facerender.loading.find_faces", None)
+    monkeypatch.setattr("facerender.mesh.face.find_faces", None)
     monkeypatch.setattr("facerender.mesh.framing.find_faces", None)
     cached = fr.load_mesh(path, up="auto", cache=True)
     assert_equal(with_geometry(first), with_geometry(cached), "mesh")

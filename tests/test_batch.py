@@ -31,13 +31,20 @@ import pytest
 
 import facerender as fr
 from facerender.batch import supervisor
-from facerender.batch.folder import locked
-from facerender.batch.jobs import JobTable, Row
-from facerender.batch.records import Settings, Storage, chunks, code_version, forget_files, key_of
+from facerender.batch.jobs import (
+    JobTable,
+    Row,
+    Settings,
+    chunks,
+    code_version,
+    forget_files,
+    key_of,
+)
+from facerender.batch.records import Storage, locked
 from facerender.batch.supervisor import Supervisor, draw_chunk
 from facerender.commands import main
+from facerender.loading import MESH_PATHS
 from facerender.loading.source import named_files, source_of
-from facerender.scene.job import MESH_PATHS
 from facerender.system.process import available
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
@@ -281,8 +288,8 @@ def test_the_key_of_a_job_depends_on_the_content_of_each_file(tmp_path, name):
 
 CRASH = """
 import os, signal
-import facerender.scene.job as job
-load = job.load_mesh
+import facerender.loading as loading
+load = loading.load_mesh
 def load_or_die(source, **more):
     name = str(getattr(source, "path", source))
     if "crash" in name:
@@ -292,7 +299,7 @@ def load_or_die(source, **more):
     if "hangs" in name:
         signal.pause()
     return load(source, **more)
-job.load_mesh = load_or_die
+loading.load_mesh = load_or_die
 """
 
 
@@ -314,8 +321,8 @@ def test_fatal_jobs_are_isolated(table, draw, small, tmp_path, monkeypatch, trie
     named = {
         "garbage.glb": "garbage.glb is not glTF",
         "absent.glb": "absent.glb: no such file",
-        "pipe.obj": "pipe.obj is a pipe or a device: give a file",
-        "endless.glb": "endless.glb is a pipe or a device: give a file",
+        "pipe.obj": "pipe.obj is a pipe; give a mesh file",
+        "endless.glb": "endless.glb is a device; give a mesh file",
         "loop.glb": "loop.glb: ",
         "empty.glb": "empty.glb ",
         "folder.glb": "folder.glb is a directory; ",
@@ -437,7 +444,7 @@ def test_data_of_interrupted_and_removed_jobs_is_deleted(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:  # interrupts after the data, before the record
-        patched.setattr("facerender.batch.records._put_records", die)
+        patched.setattr("facerender.batch.records.commit", die)
         draw(table(jobs), "out", *options)
     draw(table(jobs[1:]), "out", *options)
     draw(table(jobs[1:]), "fresh", *options)
@@ -446,7 +453,7 @@ def test_data_of_interrupted_and_removed_jobs_is_deleted(
 
 
 @pytest.mark.first_case
-@pytest.mark.parametrize("step", ["rename", "drop", "move", "put"])
+@pytest.mark.parametrize("step", ["move", "drop", "put"])
 def test_coordinator_may_stop_at_any_write(table, draw, small, tmp_path, monkeypatch, step):
     """It is interrupted at the first, second, ... call of one storage operation."""
     options = ("--chunk", "2", "--transforms")
@@ -590,7 +597,7 @@ def test_check_reads_each_file_once(table, small, capsys, monkeypatch):
     read = []
     monkeypatch.setattr(
         "facerender.batch.outputs.load_mesh",
-        lambda path, **more: read.append(path) or fr.load_mesh(path, **more),
+        lambda file: read.append(file.path) or fr.load_mesh(file),
     )
     path = table(rows(300, mesh=str(small)))
     assert main(["batch", path, "--check"]) == 0
@@ -737,7 +744,7 @@ def test_disk_may_be_full_for_a_parquet_table(table, draw, small, tmp_path):
 
 def test_disk_may_be_full_for_temporary_files(table, draw, monkeypatch):
     """Rows that do not fit into memory are written to a temporary file."""
-    monkeypatch.setattr("facerender.batch.folder._IN_MEMORY", 1)
+    monkeypatch.setattr("facerender.batch.records._IN_MEMORY", 1)
     monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: open("/dev/full", "w+b"))  # noqa: SIM115
     found = draw(table(rows(1)), "out")
     assert (found["status"], found["err"].count("\n")) == (2, 1)

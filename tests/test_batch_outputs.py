@@ -186,8 +186,6 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
 
 
 def test_outputs_that_cannot_be_drawn_are_refused(head, drawing, monkeypatch):
-    with pytest.raises(fr.InputError, match=r"unknown output 'norml'; known: image, specular"):
-        draw(job_of(), head, drawing, ("norml",), 0.0)
     many = with_geometry(head, parts=head.parts * 65536, materials=head.materials * 65536)
     with pytest.raises(fr.InputError, match=r"65536 parts, but parts.png holds at most 65535: use"):
         draw(job_of(), many, drawing, ("parts",), 0.0)

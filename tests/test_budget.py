@@ -98,7 +98,7 @@ def test_highest_error_after_spared_pixels():
     assert highest_but(errors, 1) == 5
 
 
-def shown(linear, exposure):
+def displayed(linear, exposure):
     """Return the sRGB encoding of one value, in scalar arithmetic."""
     x = min(max(linear * 2.0**exposure, 0.0), 1.0)
     return 12.92 * x if x <= 0.0031308 else 1.055 * math.pow(x, 1 / 2.4) - 0.055
@@ -119,7 +119,7 @@ def test_error_of_the_displayed_image(exposure):
     assert errors.shape == (24, 32)
     for y, x in np.ndindex(errors.shape):
         channels = zip(image[y, x], reference[y, x], strict=True)
-        expected = max(abs(shown(a, exposure) - shown(b, exposure)) for a, b in channels)
+        expected = max(abs(displayed(a, exposure) - displayed(b, exposure)) for a, b in channels)
         assert errors[y, x] == pytest.approx(expected, abs=1e-12)
 
 
@@ -140,7 +140,7 @@ def test_flip_of_the_displayed_images(exposure):
         missing("no flip-evaluator: pip install 'facerender[measure]'")
     image, reference = (np.clip(each, 0.0, 1.0) for each in images())
     encoded = [
-        np.vectorize(shown)(each, exposure).astype(np.float32) for each in (reference, image)
+        np.vectorize(displayed)(each, exposure).astype(np.float32) for each in (reference, image)
     ]
     mean = evaluate(*encoded, "LDR")[1]
     errors = Budget(0.1, "flip", exposure).errors(image, reference)

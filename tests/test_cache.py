@@ -137,7 +137,7 @@ def test_cached_mesh_equals_the_loaded_one(case, tmp_path, reads, place):
 def test_a_face_is_found_once(tmp_path, monkeypatch):
     path = files.write_gltf(tmp_path / "head.gltf", mini_head())
     face = fr.find_face(load(path))
-    monkeypatch.setattr("facerender.mesh.geometry.framing_of", None)
+    monkeypatch.setattr("facerender.mesh.framing.framing_of", None)
     mesh = load(path).with_material(m=0.2)
     assert mesh.regions["eyes"] is not None
     assert face is not None
@@ -348,7 +348,7 @@ def test_entries_that_are_cut_anywhere(reads, place, monkeypatch):
     """One search for a face suffices for hundreds of meshes."""
     plain = fr.load_mesh(MINI_HEAD)
     framing = plain.geometry.framing
-    monkeypatch.setattr("facerender.mesh.geometry.framing_of", lambda *_: framing)
+    monkeypatch.setattr("facerender.mesh.framing.framing_of", lambda *_: framing)
     load(MINI_HEAD)
     (entry,) = entries(place)
     good = entry.read_bytes()

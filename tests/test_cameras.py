@@ -159,7 +159,6 @@ def test_matrices_of_unknown_convention_are_refused():
     for message, call in {
         "a last row .or last column. .0.0, 0.0, 0.0, 1.0.": lambda: make(rotation * 2.0),
         "camera matrix = .*: give a last row": lambda: make(rotation, row_vectors=True),
-        "row_vectors = 1: give true or false": lambda: make(rotation, row_vectors=1),
         "camera matrix = .*: give 4 rows of 4 numbers": lambda: make(rotation[:3]),
         "projection = .*: give a last row": lambda: make(rotation, orthographic, SIZE),
         "camera size = None: give width and height": lambda: make(rotation, perspective),

@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import re
 from collections.abc import Callable
 from dataclasses import fields
 from functools import partial
@@ -21,7 +22,7 @@ from facerender.commands.output import Help, groups_of
 from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.files import FRAME_RATES
-from facerender.values.ranges import EXPOSURES, MEMORY, Range, range_of
+from facerender.values.fields import EXPOSURES, MEMORY, Range, range_of
 from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS
 from tests.awkward_files import MINI_HEAD
 from tests.test_help import PARSERS
@@ -136,7 +137,11 @@ def test_one_limit(command, option, folder, capsys):
         assert main(words) == 2
         out, err = capsys.readouterr()
         assert out == ""
-        assert python_error(raises, value) in err
+        # The command line quotes the option's text, Python the value.
+        remedy = re.search("(is outside|give) .*", python_error(raises, value))
+        assert remedy
+        assert remedy[0] in err
+        assert repr(beyond) in err
 
 
 def number_of(option: argparse.Action) -> type:
@@ -154,12 +159,12 @@ def test_text_in_place_of_a_number(command, option, folder, capsys):
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert "much" in err
-    own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give 3 numbers"}
+    own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give a number in"}
     own |= {
         "joint": "give NAME=X,Y,Z",
         "rotate": "give three numbers",
-        "ambient": "give 1 or 3 numbers",
-        "background": "give 3 numbers",
+        "ambient": "give a number in",
+        "background": "give a number in",
     }
     assert own.get(name_of(option), f"'much' is not {kind}: give {option.help.values}") in err
 

@@ -110,7 +110,7 @@ def test_outputs_are_named(renderer):
     scene = fr.Scene(two_sheets(), FACING)
     assert renderer.render_outputs(scene, ()) == {}
     assert [*renderer.render_outputs(scene, "depth")] == ["depth"]
-    for outputs in ("colour", ("image", "colour"), (None,), 3):
+    for outputs in ("colour", ("image", "colour"), (None,)):
         with pytest.raises(fr.InputError, match="give|known"):
             renderer.render_outputs(scene, outputs)
 

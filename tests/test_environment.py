@@ -21,13 +21,14 @@ from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
-from facerender.scene.environment import SIDE, parse_environment, studio
+from facerender.scene.environment import SIDE, studio
 from facerender.scene.scattering import scattering_of
 from facerender.scene.view import view_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.meshes import with_geometry
+from tests.settings import parse_environment
 from tests.test_reference import skin
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
@@ -300,7 +301,7 @@ def test_diffuse_and_specular_views_add_up(renderer, face):
 def test_several_samples_keep_the_coverage(egl, face, deferred, background, monkeypatch):
     """Inside a surface, scattering changes a pixel equally for each number of samples. A silhouette
     pixel whose centre is not covered uses a neighbour's change, with a mean error below 1 %."""
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: deferred)
     mesh = fr.load_mesh(MINI_HEAD).with_material(scattering="skin")
     scene = replace(face, mesh=mesh, background=background, camera=fr.Camera(-35.0, zoom=1.3))
     with fr.Renderer((96, 96), samples=4, backend=egl, float_albedo=True) as renderer:

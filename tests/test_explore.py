@@ -24,9 +24,11 @@ from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
 from facerender.explorer.page import drawable, encoded, explorer_page
 from facerender.images.image import linear_to_srgb
+from facerender.loading import MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
-from facerender.scene.job import Job, MeshFile
+from facerender.scene.job import Job
+from facerender.scene.scene import default_lights
 from facerender.scene.shading import Term
 from facerender.scene.view import view_of
 from facerender.terms import LOBES, MODELS, lobe_entry
@@ -37,7 +39,7 @@ from tests.test_parts import row
 
 MINI = Path(__file__).parent / "data" / "mini_head.glb"
 VIEW = {"viewport": {"width": 1000, "height": 700}}
-PLAIN = tuple(replace(light, shadow=False) for light in fr.Scene.lights)
+PLAIN = tuple(replace(light, shadow=False) for light in default_lights(False))
 # Points on the face in the first view, in fractions of the image's width and height.
 PLACES = [(x, y) for y in (0.34, 0.42, 0.55, 0.7) for x in (0.46, 0.5, 0.54)]
 
@@ -144,7 +146,7 @@ def expected(page, scene, found, term):
         np.ones((1, len(found), len(scene.lights)), np.float32), view_of(scene, width / height),
         (*scene.mesh.center, scene.mesh.radius),
     )  # fmt: skip
-    return reference.shade(gbuffer, scene, fr.Shading(term=term))[0]
+    return reference.shade(gbuffer, scene, fr.Shading(**vars(term)))[0]
 
 
 @pytest.mark.slow
@@ -171,7 +173,7 @@ def test_pixels_curves_and_command_of_a_term(page, mesh, written, tmp_path, word
     texts = (command, toml.splitlines()[0].removeprefix("# "))
     jobs = [job_from(text.replace("a.toml", str(tmp_path / "a.toml"))) for text in texts]
     for job in jobs:
-        assert job.shading == fr.Shading(term=term)
+        assert job.shading == fr.Shading(**vars(term))
         assert {name: job.material[name] for name in changes} == changes
         roughness = None if "m" in changes else written[1].roughness_map
         assert job.mesh == replace(written[1], roughness_map=roughness)

@@ -17,9 +17,7 @@ import facerender as fr
 from facerender.drawing.context import Context
 from facerender.drawing.prepare import simplify
 from facerender.images.image import linear_to_srgb
-from facerender.planning import plan as planning
 from facerender.planning import search
-from facerender.planning import search as frame_times
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint, changed
 from facerender.planning.decisions import details
@@ -27,7 +25,7 @@ from facerender.planning.search import Choice
 from facerender.pricing import cost as pricing
 from facerender.pricing.cost import Interval, Line, ratio, relative
 from facerender.scene.detail import LevelOfDetail, Planned
-from facerender.scene.file import load_scene
+from facerender.scene.job import load_scene
 from tests.awkward_files import MINI_HEAD
 from tests.verification.lights import PLAIN
 
@@ -45,8 +43,8 @@ def one_repeat():
     multisampling to four samples, as ``four_samples`` does."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Context, "most_samples", 4)
-        patched.setattr(frame_times, "_REPEATS", 1)
-        patched.setattr(planning, "relative_time", lambda *_: GAIN)
+        patched.setattr(search, "_REPEATS", 1)
+        patched.setattr(search, "relative_time", lambda *_: GAIN)
         patched.setattr("facerender.commands.plan._SILENT", math.inf)
         yield
 
@@ -233,7 +231,7 @@ def test_without_meshoptimizer_triangles_stay(drawing, no_meshoptimizer, tmp_pat
     (tmp_path / "scene.toml").write_text(plan.scene_toml())
     planned = load_scene(tmp_path / "scene.toml")["planned"]
     assert planned == Planned(((48, 48),), 4, drawn_samples=1, cull_back_faces=True)
-    assert not planned.holds((48, 48), 1)  # culling may change the surface at a pixel's centre
+    assert not planned.covers((48, 48), 1)  # culling may change the surface at a pixel's centre
 
 
 @pytest.mark.parametrize("cost", ["auto", "navi21"])
@@ -259,7 +257,7 @@ def test_a_scene_file_draws_the_planned_frame(cli, drawing, scene, wide):
     assert found["planned"] == Planned(
         ((48, 48),), 4, 1, wide.detail.triangles, cull_back_faces=True
     )
-    assert found["shading"] == wide.shading.as_dict()
+    assert fr.Shading.from_dict(found["shading"]) == wide.shading
     image = cli.render("--scene", pinned)
     drawn = drawing.render(wide.detail.of(scene), wide.shading, samples=1).srgb8()
     np.testing.assert_array_equal(image, drawn)
@@ -304,7 +302,7 @@ def coarse(drawing, scene):
 
 def test_savings_and_remaining_cost_add_up(coarse):
     choice, drawn = coarse
-    choice.frames = frame_times.measured_frames(choice, drawn)
+    choice.frames = search.measured_frames(choice, drawn)
     told = list(details(choice, drawn))
     assert [each.name for each in told] == ["cull_back_faces", "samples", "triangles"]
     cost = choice.cost(choice.full)
@@ -349,7 +347,7 @@ def test_a_frame_without_a_measured_gain_becomes_the_full_frame(
     high, cli, drawing, scene, monkeypatch
 ):
     measured = Interval(0.9, 0.8, high)
-    monkeypatch.setattr(planning, "relative_time", lambda *_: measured)
+    monkeypatch.setattr(search, "relative_time", lambda *_: measured)
     plan = fr.plan(scene, WIDE, renderer=drawing)
     assert (plan.shading, plan.detail) == (plan.full, LevelOfDetail(4, None))
     assert (plan.cost.relative, plan.cost.interval, plan.cost.saves) == (1.0, (1.0, 1.0), False)

@@ -288,7 +288,8 @@ def test_renderer_may_be_dropped_while_another_draws(backend, monkeypatch):
 def test_dropped_guest_frees_its_objects_in_the_host_context(backend):
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     host = create_context(backend)
-    is_texture = host.function("glIsTexture", ctypes.c_uint, result=ctypes.c_ubyte)
+    address = host.loader.load("glIsTexture")
+    is_texture = ctypes.CFUNCTYPE(ctypes.c_ubyte, ctypes.c_uint)(address)
     with host.gl:
         guest = fr.Renderer((32, 32), samples=1, backend="current")
         guest.render(scene)
@@ -327,7 +328,7 @@ def test_the_interpreter_ends_without_noise(egl, end):
 
 
 def test_cached_programs_are_bounded(egl, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 4)
+    monkeypatch.setattr("facerender.drawing.resources.MAX_PROGRAMS", 4)
     scene = fr.Scene(fr.load_mesh(MINI_HEAD))
     with fr.Renderer((32, 32), samples=1, backend=egl) as renderer:
         made = []
@@ -346,7 +347,7 @@ def test_cached_programs_are_bounded(egl, monkeypatch):
         renderer.render(scene, fr.Shading(m=0.2))
         assert len(made) > count
 
-        monkeypatch.setattr("facerender.drawing.resources.MOST_PROGRAMS", 0)
+        monkeypatch.setattr("facerender.drawing.resources.MAX_PROGRAMS", 0)
         for _ in range(2):
             count = len(made)
             renderer.render(scene)

@@ -52,6 +52,18 @@ def python(page: Path) -> list[str]:
     return code(page.read_text(encoding="utf-8"), "python")
 
 
+@pytest.mark.slow
+def test_type_checkers_accept_the_python_of_the_guide(tmp_path):
+    """In strict mode, except for functions without annotations, and for other packages."""
+    for page in (page for page in GUIDE if page.stem != "batch"):  # about OpenCV and webdataset
+        blocks = [block for block in python(page) if "import moderngl" not in block]
+        (tmp_path / f"{page.stem}.py").write_text("import facerender as fr\n" + "\n".join(blocks))
+    options = ("--strict", "--allow-untyped-defs", "--disable-error-code", "import-untyped")
+    command = [sys.executable, "-m", "mypy", *options, "--cache-dir", tmp_path / "cache", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout
+
+
 def pages_with_python() -> list[object]:
     """The examples of batch.md have tests in test_batch_jobs and test_batch_outputs."""
     pages = (page for page in GUIDE if python(page))

@@ -26,7 +26,7 @@ from facerender.drawing import compiled
 from facerender.drawing.frame import check_images
 from facerender.errors import InputError
 from facerender.images.files import MAX_PIXELS, check_pixels, read_image
-from facerender.scene.file import load_scene
+from facerender.scene.job import load_scene
 from facerender.texture.texture import Texture
 from tests.awkward_files import MINI_HEAD
 
@@ -191,7 +191,7 @@ def test_size_of_maps_is_known_before_decoding_and_limited(monkeypatch, tmp_path
     assert map.size == map.channel(1, "green").size == (14, 12)
     map.levels("color").result()
     assert map.size == (14, 12)
-    monkeypatch.setattr(materials, "MOST_TEXELS", 12 * 14 - 1)
+    monkeypatch.setattr(materials, "MAX_TEXELS", 12 * 14 - 1)
     with pytest.raises(InputError, match="maps of mini_head.glb have .* million texels, more than"):
         HEAD.with_material(albedo_map=map, normal_map=None, roughness_map=None, occlusion_map=None)
 

@@ -161,4 +161,4 @@ def test_profile_that_cannot_be_decompressed_is_refused(cli, tmp_path):
 def test_report_names_the_converted_profile(tmp_path):
     wide = saved(tmp_path / "wide.png", colors(3), P3)
     pair = Pair.of("wide", saved(tmp_path / "plain.png", colors(3), None), wide)
-    assert "<td>–</td><td>Display P3</td>" in entry(pair).section
+    assert "<td>–</td><td>Display P3</td>" in entry(pair)["section"]

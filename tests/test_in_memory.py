@@ -236,7 +236,7 @@ def test_maps_may_be_arrays_images_and_textures():
     for each in given:
         (material,) = fr.load_mesh(MINI_HEAD, albedo=each, cache=True).materials
         np.testing.assert_array_equal(np.asarray(material.albedo_map.rgb())[::-1], texels)  # type: ignore[union-attr]
-    with pytest.raises(fr.InputError, match="albedo_map = 5: give a path, a texture, an array"):
+    with pytest.raises(fr.InputError, match="albedo = 5: give a path, a texture, an array"):
         fr.load_mesh(MINI_HEAD, albedo=5)  # type: ignore[arg-type]
 
 
@@ -357,12 +357,10 @@ def changed(values, value):
         ({"normals": changed(HEAD.normals, np.nan)}, "normals[5] = ["),
         ({"colors": POSITIONS - 9.0}, "give linear values in [0, 1] or"),
         ({"colors": np.full(POSITIONS.shape, 200)}, "colors range from 200 to 200"),
-        ({"material": "skin"}, "material = 'skin': give a facerender.Material or None"),
         (
             {"material": fr.Material(normal_map=fr.Texture.from_array(np.zeros((2, 2))))},
             "the material has normal_map, but the mesh has no uv: give uv",
         ),
-        ({"name": 5}, "name of a mesh = 5: give text"),
         ({"millimetres": -1.0}, "millimetres = -1.0 is outside"),
     ],
 )
@@ -436,8 +434,6 @@ def test_invalid_texels_are_refused(texels, message):
 
 
 def test_invalid_texture_images_are_refused(tmp_path):
-    with pytest.raises(fr.InputError, match="image = 5: give a Pillow image"):
-        fr.Texture.from_image(5)  # type: ignore[arg-type]
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)).save(
         tmp_path / "a.png"
     )

@@ -15,7 +15,7 @@ import pytest
 import facerender as fr
 from facerender.lobes import GPower
 from facerender.scene.detail import Planned
-from facerender.scene.file import scene_toml
+from facerender.scene.job import scene_toml
 from facerender.scene.light import LIGHTS
 from tests import awkward_files as files
 
@@ -123,16 +123,16 @@ def test_a_pickle_holds_each_texture_once(head):
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
-        ({"colour": 1}, "unknown key 'colour'; known: camera, .*, image, mesh, outputs"),
+        ({"colour": 1}, "unknown key 'colour'; known: mesh, .*, image, outputs"),
         ({"mesh": {"file": "a.glb"}}, "unknown key 'file' in mesh; known: path, albedo"),
-        ({"mesh": "a.glb"}, "unknown value 'a.glb' in mesh"),
+        ({"mesh": 3}, "mesh = 3: give a facerender.MeshFile, a text or a table"),
         ({"mesh": {"path": 3}}, "mesh path = 3: give a path as text"),
         ({"mesh": {"flip_v": 1}}, "mesh flip_v = 1: give true or false"),
         ({"image": {"width": 3}}, "unknown key 'width' in image; known: size, samples"),
-        ({"image": 3}, "unknown value 3 in image"),
+        ({"image": 3}, "image = 3: give a table with keys of size, samples"),
         ({"image": {"size": [3]}}, r"image size = \[3\]: give width and height"),
-        ({"image": {"size": "3x4"}}, "image size = '3x4': give width and height"),
-        ({"outputs": {"path": "a.png"}}, "outputs = .*: give a list of tables"),
+        ({"image": {"size": "3x"}}, "image size '3x': give N or WxH"),
+        ({"outputs": {"path": "a.png"}}, "outputs = .*: give a list of names or tables"),
         ({"outputs": [{"only": "specular"}]}, "outputs .* lacks path"),
         ({"outputs": [{"path": "a.gif"}]}, "a.gif: unknown image format '.gif'"),
         ({"outputs": [{"path": "a.png", "only": "shine"}]}, "unknown term 'shine'; known: spec"),

@@ -351,7 +351,7 @@ VARIANTS = {
 @pytest.mark.parametrize("name", VARIANTS)
 @pytest.mark.parametrize("deferred", [False, True])
 def test_every_pixel_agrees_with_float64(egl, baked, name, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: deferred)
     (whole,) = baked.parts
     changes = dict(VARIANTS[name])
     if "colors" in changes:
@@ -433,7 +433,7 @@ def test_missing_embreex_is_reported_with_a_remedy(bare, monkeypatch):
 
 
 def test_large_meshes_are_baked_in_pieces(bare, baked, monkeypatch):
-    monkeypatch.setattr(occlusion, "_AT_ONCE", 1000)
+    monkeypatch.setattr(occlusion, "_BLOCK", 1000)
     np.testing.assert_array_equal(
         fr.with_occlusion(bare).parts[0].occlusion, baked.parts[0].occlusion
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +15,14 @@ from facerender.commands import main
 from facerender.drawing.context import Context
 from facerender.errors import InputError
 from facerender.measure import measurement as measuring
-from facerender.measure.measurement import MODELS, SCHEMA, ImageError
+from facerender.measure.measurement import MODELS, SCHEMA, rows_of
 from facerender.measure.report import content
 from facerender.pricing import cost
 from facerender.pricing.cost import Interval, Variant, bootstrap, lobe_terms, of_model, terms
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing
 from tests.meshes import with_geometry
-from tools.docs.measurement import measurement_of
+from tools.docs.tables.trade import measurement_of
 
 MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
 NANOSECOND = Interval(1.0, 0.9, 1.1)
@@ -81,17 +82,18 @@ def test_image_error_separates_pixels_from_weights():
     reference = np.full((64, 64, 3), 0.5)
     covered = np.ones((64, 64), bool)
     same = measuring.image_error(reference.astype(np.float32), reference, covered)
-    assert (same.point, same.block, same.largest, same.steps, same.flip) == (0, 0, 0, 0, 0)
+    names = ("point", "block", "largest", "steps", "flip")
+    assert [same[name] for name in names] == [0, 0, 0, 0, 0]
     spot = reference.copy()
     spot[20, 20] += 0.2
     pixel = measuring.image_error(spot.astype(np.float32), reference, covered)
-    assert pixel.point == pytest.approx(0.2)
-    assert pixel.block < 0.002
-    assert pixel.largest == pytest.approx(0.4)
-    assert pixel.percentile == 0.0
+    assert pixel["point"] == pytest.approx(0.2)
+    assert pixel["block"] < 0.002
+    assert pixel["largest"] == pytest.approx(0.4)
+    assert pixel["percentile"] == 0.0
     weight = measuring.image_error((reference * 1.04).astype(np.float32), reference, covered)
-    assert weight.block == pytest.approx(0.04, rel=1e-4)
-    assert weight.steps == weight.steps_percentile == 3
+    assert weight["block"] == pytest.approx(0.04, rel=1e-4)
+    assert weight["steps"] == weight["steps_percentile"] == 3
 
 
 @pytest.mark.slow
@@ -99,9 +101,9 @@ def test_image_errors_are_in_the_order_of_the_lobes(egl, head):
     scene = fr.Scene(head.with_material(m=0.4))
     shadings = [fr.Shading(lobe=lobe) for lobe in ("exact", "fitted", "d16")]
     exact, fitted, d16 = measuring.image_errors(scene, shadings, (128, 128), egl)[2]
-    assert exact.largest < 1e-4
-    assert exact.largest < fitted.largest < d16.largest
-    assert exact.steps <= 1 < d16.steps
+    assert exact["largest"] < 1e-4
+    assert exact["largest"] < fitted["largest"] < d16["largest"]
+    assert exact["steps"] <= 1 < d16["steps"]
 
 
 @pytest.mark.parametrize(("model", "m"), [("cook-torrance", 0.15), ("ward", 0.12)])
@@ -111,7 +113,7 @@ def test_image_of_the_published_d16_has_no_clamp(egl, coarse_head, model, m):
     _, images, errors = measuring.image_errors(scene, [clamped], (64, 64), egl, [published])
     assert len(images) == 1
     d16, unclamped = errors
-    assert 0.0 < 100.0 * d16.largest < unclamped.largest
+    assert 0.0 < 100.0 * d16["largest"] < unclamped["largest"]
     assert measuring.brdf_error(published, m) > 1.0 > measuring.brdf_error(clamped, m)
     assert measuring.brdf_error(published, 0.4) == pytest.approx(measuring.brdf_error(clamped, 0.4))
 
@@ -130,11 +132,7 @@ def test_json_of_a_measurement_is_read_and_written_unchanged():
     text = MEASUREMENT.read_text(encoding="utf-8")
     measurement = measurement_of(json.loads(text))
     assert json.dumps(content(measurement), indent=1) + "\n" == text
-    assert measurement_of(measurement.as_dict()) == measurement
-    d16 = next(row for row in measurement.of_model("ward") if row.variant.name == "d16")
-    assert d16.variant == Variant("ward", "d16")
-    assert isinstance(d16.term_ns, Interval)
-    assert isinstance(d16.image_error, ImageError)
+    assert measurement_of(measurement) == measurement
 
 
 def test_json_of_another_version_is_refused():
@@ -180,21 +178,19 @@ def test_missing_packages_are_named(egl, coarse_head, quickest, monkeypatch):
     measurement, triptychs = measuring.measure(
         coarse_head, 0.65, quick=True, backend=egl, progress=lambda what, done: stages.append(what)
     )
-    assert measurement.not_measured == [
+    assert measurement["not_measured"] == [
         "FLIP needs flip-evaluator: pip install 'facerender[measure]'"
     ]
     assert "ward: frames" in stages
-    rows = {row.variant: row for row in measurement.variants}
-    assert len(rows) == len(measurement.variants) == 2 * len(terms("ward"))
+    rows = {(row["model"], row["name"]): row for row in measurement["variants"]}
+    assert len(rows) == len(measurement["variants"]) == 2 * len(terms("ward"))
     for row in rows.values():
-        assert row.term_ns == NANOSECOND
-    printed = rows[Variant("cook-torrance", "d16", printed=True)]
-    assert printed.lobe_error["0.2"] == pytest.approx(2.33e6, rel=0.01)
-    plain = rows[Variant("ward", "exact", plain=True)]
-    assert plain.lobe_error["0.1"] is None
-    drawn = {(triptych.model, triptych.lobe): triptych for triptych in triptychs}
-    assert drawn["ward", "d16"].pixels.shape == (256, 768, 3)
-    largest = [drawn["cook-torrance", lobe].pixels[:, 512:].max() for lobe in ("fitted", "d16")]
+        assert row["cost"]["term_ns"] == asdict(NANOSECOND)
+    printed = rows["cook-torrance", "printed, d16"]
+    assert printed["error"]["lobe"]["0.2"] == pytest.approx(2.33e6, rel=0.01)
+    assert rows["ward", "exact, m >= 0.2"]["error"]["lobe"]["0.1"] is None
+    assert triptychs["ward", "d16"].shape == (256, 768, 3)
+    largest = [triptychs["cook-torrance", lobe][:, 512:].max() for lobe in ("fitted", "d16")]
     assert largest == sorted({*largest})
 
 
@@ -217,8 +213,8 @@ def test_m_changes_the_skin_only(egl, coarse_head, quickest, monkeypatch):
     measurement, _ = measuring.measure(head, 0.25, quick=True, backend=egl)
     assert [[each.m for each in mesh.materials] for mesh in drawn] == 2 * [[0.25, 0.9]]
     assert drawn[0].materials[0].roughness_map is None
-    images = {row.variant.name: row.image_error for row in measurement.of_model("ward")}
-    assert images["exact"].largest < 1e-4 < images["d16"].largest
+    images = {row["name"]: row["error"]["image"] for row in rows_of(measurement, "ward")}
+    assert images["exact"]["largest"] < 1e-4 < images["d16"]["largest"]
 
 
 @pytest.mark.slow

@@ -33,8 +33,9 @@ EXACT = {
         ",radius=DEGREES for an area light and ,no-shadow"
     ),
     "render --scene unknown.toml -o x.png": (
-        "unknown.toml: unknown key 'unknown'; known: camera, cameras, lights, environment, "
-        "material, parts, shading, planned, ambient, background, pose, before, image"
+        "unknown.toml: unknown key 'unknown'; known: mesh, material, camera, lights, ambient, "
+        "background, shading, planned, image, outputs, environment, parts, pose, before, "
+        "landmarks, cameras"
     ),
     "render tri.obj --scattering skin -o x.png": (
         "scattering needs the size of tri.obj, which does not specify its unit: "
@@ -54,8 +55,8 @@ EXACT = {
     ),
     "batch jobs.csv --check": (
         "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, scene, meta, "
-        "mesh, camera, lights, environment, material, parts, shading, planned, ambient, "
-        "background, pose, before, image, landmarks"
+        "mesh, material, camera, lights, ambient, background, shading, planned, image, "
+        "environment, parts, pose, before, landmarks"
     ),
     "plan --budget 1/255 --target es300": "--target es300 has no shader: add --emit OUT.glsl",
     "compare a.png b.png": "a.png is 8 x 8, b.png is 9 x 9 pixels: render both at one size",

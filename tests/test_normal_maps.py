@@ -83,5 +83,5 @@ def test_options_of_render(maps: tuple[Path, Path], tmp_path: Path):
 
 def test_invalid_green_direction_is_refused():
     for make in (lambda: fr.load_mesh(normal_map_y="left"), lambda: fr.MeshFile(normal_map_y="x")):
-        with pytest.raises(fr.InputError, match="normal_map_y = '.*': give up or down"):
+        with pytest.raises(fr.InputError, match="unknown mesh normal_map_y '.*'; known: up, down"):
             make()

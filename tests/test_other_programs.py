@@ -786,7 +786,7 @@ def test_an_internal_error_names_the_file(cli, monkeypatch):
     def fail(*_):
         raise AttributeError("no such attribute")
 
-    monkeypatch.setattr("facerender.loading.ply_stl.srgb_to_linear", fail)
+    monkeypatch.setattr("facerender.loading.from_trimesh.srgb_to_linear", fail)
     status, _, err = cli.run("render", path, "-o", cli.png, "--no-cache")
     assert status == 70
     assert "internal error (AttributeError: no such attribute while reading a.ply)" in err

@@ -22,7 +22,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.common import check_outputs
+from facerender.commands.options import check_outputs
 from facerender.drawing.renderer import Renderer
 from facerender.system import files as atomic
 from facerender.system.process import Bar

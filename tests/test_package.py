@@ -39,6 +39,33 @@ def test_import_graph_has_no_cycle_and_no_wrong_arrow():
     assert arrows["terms"] == {"values", "errors"}
 
 
+def homes(folder: Path) -> subprocess.CompletedProcess[str]:
+    tool = ROOT / "tools/homes"
+    return subprocess.run([sys.executable, tool, folder], capture_output=True, text=True)
+
+
+def test_each_setting_has_one_home():
+    done = homes(ROOT / "facerender")
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        "def camera_of(text: str) -> Camera:\n    return Camera(float(text))",
+        "def light(table: dict[str, float]):\n    return Light(**table)",
+        "def check(size: int) -> None:\n    range_of(ImageSettings, 'size').check('size', size)",
+        "def far(zoom: float) -> bool:\n    return zoom > limits_of(Camera)['zoom'].high",
+    ],
+)
+def test_a_second_home_is_reported(tmp_path, function):
+    shutil.copytree(ROOT / "facerender/scene", tmp_path / "facerender/scene")
+    (tmp_path / "facerender/scene/second.py").write_text(f"{function}\n")
+    done = homes(tmp_path / "facerender")
+    assert done.returncode == 1
+    assert "scene/second.py" in done.stdout
+
+
 @pytest.mark.slow
 def test_wrong_imports_are_reported(tmp_path):
     folder = tmp_path / "facerender"

@@ -11,9 +11,9 @@ import pytest
 import facerender as fr
 from facerender.drawing.compiled import CompiledFrame
 from facerender.drawing.frame_passes import Structure, image_passes
-from facerender.drawing.passes import Draw, Pass, Target
+from facerender.drawing.maps import Maps
 from facerender.drawing.prepare import resolve
-from facerender.drawing.program import Program
+from facerender.drawing.program import Draw, Pass, Program, Target
 from facerender.scene.view import view_of
 from tests.verification.lights import PLAIN_THREE
 
@@ -53,7 +53,7 @@ def renderer(egl, four_samples, monkeypatch, tmp_path):
     ],
 )
 def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: deferred)
     scene = fr.Scene(head.with_material(m=0.3), lights=PLAIN_THREE, background=None)
     view = view_of(scene, 1.0)
     above = view_of(replace(scene, camera=fr.Camera(elevation=60.0)), 1.0)
@@ -66,7 +66,9 @@ def test_pass_reads_the_targets_of_earlier_passes(renderer, head, samples, defer
         uniforms={"view_projection": above.matrix},
     )
     black = (0.0, 0.0, 0.0)
-    of = Structure(resolved.appearance, scene.mesh, black, samples, lambda samples: deferred)
+    counts = (1, samples) if deferred else ()
+    maps = Maps(resolved.appearance, scene.mesh, view, SIZE)
+    of = Structure(resolved.appearance, scene.mesh, maps, black, samples, counts)
     *before, shaded = image_passes(of, None)
     shaded = replace(shaded, target=replace(shaded.target, sampled=True))
     join = Pass("join", Target(), (Draw(Program("join.frag", "screen.vert"), {}),), results=(0,))
@@ -99,7 +101,7 @@ def test_only_needed_passes_are_drawn(egl, head, monkeypatch):
     )
     for deferred in (False, True):
         monkeypatch.setattr(
-            "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
+            "facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_, on=deferred: on
         )
         with fr.Renderer(SIZE, samples=4) as fresh:
             fresh.render(fr.Scene(head, lights=PLAIN_THREE))

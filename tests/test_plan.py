@@ -33,7 +33,7 @@ from facerender.planning.decisions import _words
 from facerender.pricing.table import load_prices
 from facerender.scene.camera import turntable
 from facerender.scene.detail import Planned
-from facerender.scene.file import load_scene, scene_toml
+from facerender.scene.job import load_scene, scene_toml
 from facerender.scene.shading import Shading
 from tests.conftest import require_module
 from tests.meshes import with_geometry

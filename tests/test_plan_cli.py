@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 
 import facerender as fr
-from facerender.commands.common import parse_sizes
+from facerender.commands.scene import parse_sizes
 from facerender.planning import plan as plan_cache
 from facerender.planning.budget import Budget
 from facerender.planning.plan import plan as make_plan
 from facerender.scene.detail import Planned
-from facerender.scene.file import load_scene
+from facerender.scene.job import load_scene
 from facerender.scene.shading import Shading
 from tests.awkward_files import MINI_HEAD
 from tests.verification.lights import PLAIN

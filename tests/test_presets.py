@@ -13,14 +13,14 @@ from PIL import Image
 
 import facerender as fr
 from facerender.commands import main
-from facerender.commands.common import part_materials
+from facerender.commands.scene import part_materials
 from facerender.drawing.renderer import Renderer
 from facerender.images.files import read_image
-from facerender.loading.conventions import _eye_map, _lash_map, mark_skin, preset_for
-from facerender.material import PRESETS, SKIN_ALBEDO, Material, changed
+from facerender.loading.conventions import _eye_map, _lash_map, apply_names, preset_for
+from facerender.material import PRESETS, SKIN_ALBEDO, Material, changed, parse_part, part_text
 from facerender.mesh import hints
 from facerender.mesh.repair import Piece
-from facerender.scene.file import parse_part, part_text, scene_toml
+from facerender.scene.job import scene_toml
 from tests.awkward_files import gltf, join_glb, mini_head, write_glb
 from tests.conftest import require_module
 from tests.meshes import with_geometry
@@ -419,7 +419,7 @@ def skin_of(*pairs):
     ]
     for piece, (_, material) in zip(pieces, pairs, strict=True):
         piece.material_name = material
-    mark_skin(pieces)
+    apply_names(pieces, "a.glb", as_is=True)
     return [piece.skin for piece in pieces]
 
 

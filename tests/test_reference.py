@@ -19,6 +19,7 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.program import Program
 from facerender.lobes import GPower
 from facerender.scene.environment import studio
+from facerender.scene.light import LIGHTS
 from facerender.scene.view import view_of
 from tests.verification.forward import forward_passes
 from tests.verification.lights import PLAIN_THREE
@@ -147,7 +148,7 @@ def ramp() -> fr.Texture:
 
 def around(mesh: fr.Mesh, **material) -> fr.Scene:
     """Return a scene with an environment map and one light."""
-    lights, camera = fr.Scene.lights[:1], fr.Camera(azimuth=-35.0)
+    lights, camera = (LIGHTS["key"],), fr.Camera(azimuth=-35.0)
     mesh = mesh.with_material(**material)
     return fr.Scene(mesh, camera, lights, 0.0, None, ENVIRONMENT)
 
@@ -275,7 +276,7 @@ NAMES = [getattr(case.scene, "func", case.scene).__name__ for case, _ in CASES]
     ("case", "deferred"), CASES, ids=[f"{name}-{i}" for i, name in enumerate(NAMES)]
 )
 def test_every_term_of_an_image(floats, head, case, deferred, monkeypatch):
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: deferred)
     floats._resources.frames.clear()  # a compiled frame keeps its choice
     scene = case.scene(head)
     gbuffer, expected, error = compared(floats, scene, case.shading)

@@ -15,6 +15,7 @@ import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -117,7 +118,7 @@ def drivers() -> Iterator[list[fr.Renderer]]:
 @pytest.mark.parametrize("name", PASSES)
 def test_osmesa_and_egl_draw_each_pass_equally(drivers, name, monkeypatch):
     scene_of, deferred = PASSES[name]
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: deferred)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: deferred)
     scene = scene_of(fr.load_mesh(MINI_HEAD))
     for only in (None, "depth"):
         frames = [each.render(scene, only=only) for each in drivers]
@@ -339,6 +340,11 @@ class Host:
         self.target.clear(*(value / 255 for value in (64, 128, 191, 255)))
         self.uniforms = self.gl.buffer(bytes(16))
 
+    def function(self, name: str, *arguments: Any) -> Any:
+        """Return an OpenGL function without a result."""
+        address = self.context.loader.load(name)
+        return ctypes.CFUNCTYPE(None, *arguments)(address)
+
     def set_everything(self) -> None:
         self.target.use()
         for unit in self.UNITS:
@@ -347,12 +353,12 @@ class Host:
             self.gl.sampler(filter=(moderngl.NEAREST, moderngl.NEAREST)).use(unit)
         self.uniforms.bind_to_uniform_block(0)
         for name, *values in self.SETTINGS:
-            self.context.function(name, *[ctypes.c_int] * len(values))(*values)
-        self.context.function("glDepthRange", *[ctypes.c_double] * 2)(1.0, 0.0)
+            self.function(name, *[ctypes.c_int] * len(values))(*values)
+        self.function("glDepthRange", *[ctypes.c_double] * 2)(1.0, 0.0)
 
     def state(self) -> dict[tuple[str, int, int], tuple[float, ...]]:
-        get = self.context.function("glGetDoublev", ctypes.c_int, ctypes.c_void_p)
-        activate = self.context.function("glActiveTexture", ctypes.c_int)
+        get = self.function("glGetDoublev", ctypes.c_int, ctypes.c_void_p)
+        activate = self.function("glActiveTexture", ctypes.c_int)
         queries = [query for _, _, several, _ in STATE for query in several]
         queries += [(number, 1) for number, _ in CAPABILITIES.values()]
         queries += [(0x84E0, 1)]  # active texture
@@ -368,7 +374,7 @@ class Host:
                 get(name, values)
                 state["unit", unit, name] = tuple(values)
         activate(int(state["", 0, 0x84E0][0]))
-        indexed = self.context.function("glGetIntegeri_v", *[ctypes.c_int] * 2, ctypes.c_void_p)
+        indexed = self.function("glGetIntegeri_v", *[ctypes.c_int] * 2, ctypes.c_void_p)
         buffer = ctypes.c_int()
         indexed(0x8A28, 0, ctypes.addressof(buffer))  # the uniform buffer of the first block
         state["", 0, 0x8A28] = (buffer.value,)
@@ -425,7 +431,7 @@ def test_guest_draws_the_same_and_restores_the_hosts_state(host, scene_of):
             guest.render(replace(scene, lights=(at_center,)))
         assert host.state() == before
     assert host.state() == before
-    host.context.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
+    host.function("glPixelStorei", ctypes.c_int, ctypes.c_int)(0x0D02, 0)
     assert host.target.read(components=4)[:4] == bytes([64, 128, 191, 255])
 
 

@@ -14,10 +14,9 @@ import pytest
 from facerender import InputError
 from facerender.measure import chart, report
 from facerender.measure.chart import FRAME, LIMITS, TERM, measure_of, pareto, recommended
-from facerender.measure.measurement import Triptych
 from tests.test_compare_report import Page
 from tests.test_page import CONTRASTS
-from tools.docs.measurement import measurement_of
+from tools.docs.tables.trade import measurement_of
 
 MEASUREMENT = Path(__file__).parents[1] / "docs" / "measurements" / "llvmpipe.json"
 
@@ -76,7 +75,7 @@ def data():
 
 @pytest.fixture
 def triptychs():
-    return [Triptych("cook-torrance", "d16", np.zeros((8, 24, 3), np.uint8))]
+    return {("cook-torrance", "d16"): np.zeros((8, 24, 3), np.uint8)}
 
 
 def rows(data, kind=TERM):
@@ -249,7 +248,7 @@ def test_first_screen_recommends_and_shows_the_chart(data, browser, tmp_path, so
             each["cost"]["term_ns"] = {"value": cost, "low": cost, "high": cost}
             if each["error"]["image"]:
                 each["error"]["image"]["largest"] = 0.02 - 0.0001 * i
-    path = report.write(measurement_of(data), [], tmp_path)[-1]
+    path = report.write(measurement_of(data), {}, tmp_path)[-1]
     tab = browser.new_page(
         viewport=dict(zip(("width", "height"), size, strict=True)), color_scheme=scheme
     )

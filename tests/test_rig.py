@@ -765,9 +765,7 @@ def test_a_pose_keeps_the_rest_of_the_mesh():
         ({"weights": {3: 1.0}}, "bytes has no shape 3: its shapes are Key 1"),
         ({"weights": {"Key 1": math.nan}}, "weight of 'Key 1' = nan is outside [-100, 100]"),
         ({"weights": {"Key 1": True}}, "weight of 'Key 1' = True is not a number"),
-        ({"weights": [1.0]}, "weights = [1.0]: give a mapping"),
         ({"clip": "run"}, "clip = 'run', which bytes lacks: its clips are Individuals, TheWave"),
-        ({"clip": 3}, "clip = 3: give the name of a clip"),
         ({"time": 2.01}, "time of clip 'Individuals' = 2.01 is outside [0, 2]"),
         ({"clip": "Pulse", "time": -0.1}, "time of clip 'Pulse' = -0.1 is outside [0, 2]"),
         ({"time": "1"}, "time of clip 'Individuals' = '1' is not a number"),
@@ -783,7 +781,6 @@ def test_invalid_arguments_raise(arguments, message):
         ({"hed": (0, 9, 0)}, "bytes has no joint 'hed': its joints are joint1, joint2"),
         ({"joint1": 9.0}, "joint 'joint1' = 9.0: give three numbers in [-3600, 3600] degrees"),
         ({"joint1": (0, math.nan, 0)}, "joint 'joint1' = (0, nan, 0): give three numbers in"),
-        ([9], "joints = [9]: give a mapping"),
     ],
 )
 def test_invalid_joints_raise(joints, message):

@@ -11,9 +11,10 @@ import pytest
 
 import facerender as fr
 from facerender.scene.detail import Planned
-from facerender.scene.file import load_scene
-from facerender.scene.light import LIGHTS, parse_light
+from facerender.scene.job import load_scene
+from facerender.scene.light import LIGHTS
 from facerender.scene.view import view_of
+from tests.settings import parse_light
 
 
 def project(scene: fr.Scene, point, aspect=1.0):
@@ -98,7 +99,6 @@ def test_lights_from_text(text, light):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: fr.Material(albedo_map="skin.png"), "albedo_map = 'skin.png': give"),
         (lambda: fr.Shading("ward", fresnel="dielectric"), "ward has no Fresnel term"),
         (lambda: fr.Shading("ward", masking="none"), "ward has no masking term: leave 'none' out"),
         (
@@ -137,19 +137,19 @@ def test_scene_file(tmp_path):
         ("[camera]\nfov = 'wide'", "camera fov = 'wide'"),
         ("camera = { position = [0, 0] }", r"camera position = \[0, 0\]"),
         ("[[lights]]\nwatt = 3", "unknown key 'watt' in lights"),
-        ("lights = 'key'", "lights = 'key': give a list"),
+        ("lights = 'blue'", "unknown light 'blue'"),
         ("material = { m = 'rough' }", "m = 'rough' is not a number: give a number in"),
         ("material = { albedo = 'red' }", "albedo = 'red': give a number in"),
         ("lights = ['blue']", "unknown light 'blue'"),
         ("[material]\nm = 9", "m = 9 is outside"),
         ("[material]\nalbedo_map = 'a.png'", "unknown key 'albedo_map' in material"),
         ("background = 'red'", "background = 'red'"),
-        ("colour = 1", "unknown key 'colour'; known: camera, "),
-        ("lights = [3]", "unknown value 3 in lights"),
+        ("colour = 1", "unknown key 'colour'; known: mesh, "),
+        ("lights = [3]", "lights = 3: give a facerender.Light, a text or a table"),
         ("ambient = -1.0", "ambient = -1.0: give a number in"),
         ("shading = 'exact'", "shading = 'exact': give a table"),
         ("[shading]\nlobe = 'd5'", "unknown lobe 'd5'"),
-        ("[shading]\nlobe = { g = 4 }", "lobe = .*: give a name, or g, factor, offset"),
+        ("[shading]\nlobe = { g = 4 }", "lobe .* lacks factor: add it"),
         ("[shading]\nlobe = { g = 4, factor = -1 }", "g-power factor = -1"),
         ("[shading]\ngloss = 1", "unknown key 'gloss' in shading; known: model"),
         ("[shading]\nspecular_lights = ['key']", r"specular_lights = \['key'\]: "),
@@ -157,11 +157,14 @@ def test_scene_file(tmp_path):
         ("[shading]\nspecular_lights = [true]", r"specular_lights = \[True\]: give a list"),
         ("[shading]\nsmall_slope = 'no'", "small_slope = 'no': give true or false"),
         ("[planned]\nsizes = [[8, 8]]", "planned .* lacks samples"),
-        ("[planned]\nsizes = []\nsamples = 1", r"planned sizes = \[\], samples = 1: give widths"),
-        ("[planned]\nsizes = [[8, 0]]\nsamples = 1", r"planned sizes = \[\[8, 0\]\]"),
-        ("[planned]\nsizes = [[8]]\nsamples = 1", r"planned sizes = \[\[8\]\]"),
+        ("[planned]\nsizes = []\nsamples = 1", r"planned sizes = \[\]: give sizes, such"),
+        ("[planned]\nsizes = [[8, 0]]\nsamples = 1", "planned sizes 8 x 0: give 1 to 16384"),
+        ("[planned]\nsizes = [[8]]\nsamples = 1", r"planned sizes = \[8\]: give width and height"),
         ("[planned]\nsizes = [[8, 8]]\nsamples = 0.5", "samples = 0.5: give"),
-        ("planned = { sizes = [[8, 8]], samples = 4, shading_rate = 1 }", "give sample or pixel"),
+        (
+            "planned = { sizes = [[8, 8]], samples = 4, shading_rate = 1 }",
+            "rate 1; known: sample, p",
+        ),
         ("[camera", " is not valid TOML"),
     ],
 )

@@ -13,12 +13,13 @@ import trimesh
 import facerender as fr
 from facerender.drawing.compiled import CompiledFrame
 from facerender.drawing.context import create_context
-from facerender.drawing.shadows import MOST
+from facerender.drawing.maps import MAX_SHADOWS
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
-from facerender.scene.light import LIGHTS, parse_light
+from facerender.scene.light import LIGHTS
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import code
+from tests.settings import parse_light
 from tests.test_alpha import quad
 from tests.test_reference import key, shadows
 from tests.verification.evaluate import CORNERS, vertex_shader
@@ -163,7 +164,7 @@ def test_width_of_the_penumbra_agrees_with_geometry(egl, distance):
 def test_invalid_shadows_are_refused(renderer, head):
     with pytest.raises(fr.InputError, match="too near to cast a shadow"):
         renderer.render(fr.Scene(head, lights=(key(head, 0.0, 0.9),)))
-    with pytest.raises(fr.InputError, match=f"17 lights cast shadows: at most {MOST}"):
+    with pytest.raises(fr.InputError, match=f"17 lights cast shadows: at most {MAX_SHADOWS}"):
         renderer.render(fr.Scene(head, lights=(fr.Light(shadow=True),) * 17))
     with pytest.raises(fr.InputError, match="light shadow = 1: give true or false"):
         fr.Light(shadow=1)

@@ -16,9 +16,9 @@ from facerender.drawing.context import create_context
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import surface_features
 from facerender.images.files import read_image
-from facerender.scene.light import parse_light
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
+from tests.settings import parse_light
 from tests.test_reference import areas
 from tests.verification.evaluate import Evaluator
 from tests.verification.lights import PLAIN_THREE

@@ -20,10 +20,9 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.program import IN_ROW
 from facerender.images.image import linear_to_srgb
 from facerender.material import Material
-from facerender.mesh import setup
+from facerender.mesh import part as mesh_part
 from facerender.mesh.geometry import Geometry
-from facerender.mesh.part import Part
-from facerender.mesh.setup import TriangleSetup
+from facerender.mesh.part import Part, TriangleSetup
 from tests.awkward_files import MINI_HEAD, join_glb, split_glb
 from tests.meshes import with_geometry
 from tests.test_alpha import quad
@@ -75,7 +74,7 @@ def both(renderer_of, four_samples, monkeypatch) -> Both:
         images = []
         for deferred in (True, False):
             monkeypatch.setattr(
-                "facerender.drawing.renderer.deferred_is_cheaper", lambda *_, on=deferred: on
+                "facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_, on=deferred: on
             )
             renderer = renderer_of(size, samples, deferred)
             images.append(renderer.render(scene, only=only).linear)
@@ -216,7 +215,7 @@ def rates(renderer_of, four_samples, monkeypatch) -> Both:
 
     Its default number of samples is the driver's maximum.
     """
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: True)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: True)
 
     def draw(scene: fr.Scene, size=(256, 192), samples=None):
         renderer = renderer_of(size, 4)
@@ -283,7 +282,7 @@ def test_per_pixel_shading_falls_back_to_per_sample(rates, head, samples, bright
 def test_per_pixel_shading_does_not_depend_on_deferring(rates, renderer_of, head, monkeypatch):
     scene = fr.Scene(head)
     one, _ = rates(scene)
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: False)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: False)
     renderer_of((256, 192), 4)._resources.frames.clear()  # a compiled frame keeps its choice
     np.testing.assert_array_equal(rates(scene)[0], one)
 
@@ -301,9 +300,9 @@ def test_choice_of_deferred_shading(head):
 
 def test_meshes_too_large_for_deferring_are_drawn_forward(head):
     look = resolve(fr.Scene(head), fr.Shading()).appearance
-    assert frame_passes.can_defer(look.unblended, None, 16384)
+    assert frame_passes.can_defer(look.unblended, (0.0, 0.0, 0.0), 16384)
     too_few = (len(head.parts[0].faces) - 1) // IN_ROW
-    assert not frame_passes.can_defer(look.unblended, None, too_few)
+    assert not frame_passes.can_defer(look.unblended, (0.0, 0.0, 0.0), too_few)
 
 
 # --- sides and order of triangles -----------------------------------------------------------------
@@ -383,7 +382,7 @@ def test_a_cavity_that_faces_outwards_keeps_both_sides():
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(100.0, 30.0), BELOW], ids=str)
 def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, monkeypatch):
     """OpenGL culls the triangles that the selection leaves out."""
-    monkeypatch.setattr("facerender.drawing.renderer.deferred_is_cheaper", lambda *_: True)
+    monkeypatch.setattr("facerender.drawing.frame_passes.deferred_is_cheaper", lambda *_: True)
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh, camera, PLAIN_THREE)
     assert two_sides(mesh) == [False]
@@ -395,8 +394,8 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
         return chosen
 
     monkeypatch.setattr(TriangleSetup, "facing", counted)
-    for edge_on in (setup._EDGE_ON, 1.0):
-        monkeypatch.setattr(setup, "_EDGE_ON", edge_on)
+    for edge_on in (mesh_part._EDGE_ON, 1.0):
+        monkeypatch.setattr(mesh_part, "_EDGE_ON", edge_on)
         with fr.Renderer((96, 96), samples=samples, backend=egl) as renderer:
             images.append(renderer.render(scene).linear)
     np.testing.assert_array_equal(*images)
@@ -407,7 +406,7 @@ def test_selected_triangles_change_no_pixel(egl, samples, camera, four_samples, 
 @pytest.mark.first_case
 @pytest.mark.parametrize("deferred", [True, False])
 def test_back_faces_are_drawn_only_with_two_sides(egl, deferred, monkeypatch):
-    name = "facerender.drawing.renderer.deferred_is_cheaper"
+    name = "facerender.drawing.frame_passes.deferred_is_cheaper"
     monkeypatch.setattr(name, lambda *_: deferred)
     mesh = fr.load_mesh(MINI_HEAD)
     both = mesh.with_material(double_sided=True)

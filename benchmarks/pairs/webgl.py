@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import facerender as fr
-from facerender.drawing.passes import Draw, Pass
 from facerender.drawing.prepare import reduced, resolve
-from facerender.drawing.program import ENVIRONMENT_MAP, fixed_attributes
+from facerender.drawing.program import ENVIRONMENT_MAP, Draw, Pass, fixed_attributes
 from facerender.scene.scene import Scene
 from facerender.scene.view import view_of
 from facerender.texture.mips import Kind

@@ -117,7 +117,7 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
     def specular(terms: Mapping[str, Term], **material: Any) -> dict[str, Pair]:
         changed = [replace(each, mesh=each.mesh.with_material(**material)) for each in scenes]
         programs = [
-            table.program_of(scene, Shading(term=term))
+            table.program_of(scene, Shading(**vars(term)))
             for term in terms.values()
             for scene in changed
         ]

@@ -1,46 +1,57 @@
-"""Jobs of a batch: reads the rows of a table one at a time and checks them.
-
-``formats.py`` parses the files. This module does not use OpenGL.
-"""
+"""Jobs of a batch: makes jobs from the rows of a table, checks them, and divides them into chunks,
+which are drawn, written and committed together. This module does not use OpenGL."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
-import string
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
+from itertools import chain, islice
 from pathlib import Path, PurePath
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
+from uuid import uuid4
 
 import numpy as np
 
-from facerender.batch.formats import found_rows, read_toml
-from facerender.batch.tables import Table, listed, merged, nested, with_default_lights
-from facerender.errors import InputError, check_known, check_path, clipped, shown
+from facerender import __version__
+from facerender.batch.tables import (
+    NAMED,
+    nested,
+    read_rows,
+    read_toml,
+    repeated,
+    with_default_lights,
+)
+from facerender.errors import InputError, check_known, clipped, quoted
+from facerender.loading import MESH_PATHS
+from facerender.loading.source import named_files, source_of
+from facerender.mesh.face import RELIEFS
 from facerender.scene.environment import STUDIO
-from facerender.scene.file import KEYS
-from facerender.scene.job import MESH_PATHS, job_value, parse_size
-from facerender.scene.scene import ONLY, Scene
-from facerender.scene.shading import Shading
-from facerender.values.ranges import EXPOSURES
+from facerender.scene.job import ImageSettings, Job
+from facerender.scene.scene import ONLY
+from facerender.system.files import data_dir, digest_of
+from facerender.values.fields import EXPOSURES, PATH, build, limits_of
+from facerender.values.tables import Table, listed, merged
+
+if TYPE_CHECKING:
+    from facerender.drawing.context import Backend
 
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
-TABLES = ("mesh", *(key for key in KEYS if key != "cameras"), "landmarks")
-OWN = ("id", "outputs", "exposure", "scene", "meta")  # Keys of a row that are not in TABLES.
+# Keys of a row: the keys of a job, and further keys.
+TABLES = tuple(key for key in limits_of(Job) if key not in ("cameras", "outputs"))
+ROW_KEYS = ("id", "outputs", "exposure", "scene", "meta")
 # Keys of a table whose values are paths of files, keyed by the table.
-FILES = {
-    "mesh": MESH_PATHS,
-    "environment": ("file",),
-    "pose": ("vertices",),
-    "before": ("vertices",),
-}
+FILES = {"mesh": MESH_PATHS, "environment": ("file",)}
+FILES |= {"pose": ("vertices",), "before": ("vertices",)}
 
 _ID = re.compile("[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}")
-_SPEC = re.compile(r"[+-]?0?[0-9]{0,2}(\.[0-9]{1,2})?[defgs]?")
+_FIELD = re.compile(r"\{([^{}:!]+):?([+-]?0?[0-9]{0,2}(?:\.[0-9]{1,2})?[defgs]?)\}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,59 +72,42 @@ class Row:
 class JobTable:
     """A table of jobs; each row is checked when it is read.
 
-    An iteration reads and checks all rows, but yields only the rows before the first invalid row.
-
-    Parameters
-    ----------
     path : path of the table, a .jsonl, .csv, .parquet, .toml or .py file
     common : default values of all rows, with the same keys as a row
     most : maximum number of different errors to describe
-
-    Attributes
-    ----------
-    rows : number of rows, including invalid ones
-    meshes : number of different mesh files in the valid rows; the built-in head counts as one
-    faults : one message for each of the first `most` different errors, with its rows
-    more : number of invalid rows that `faults` does not describe
     """
 
     def __init__(
         self, path: str | os.PathLike[str], common: Mapping[str, Any] = {}, most: int = 10
     ) -> None:
-        self._path, self._common, self._most = path, common, most
-        self.rows = self.meshes = self.more = self._bad = 0
-        self.faults: list[str] = []
+        self._path, self._common, self._most, self._bad = path, common, most, 0
+        self.rows = 0  # Number of rows, including invalid ones.
+        self.meshes = 0  # Number of mesh files in the valid rows; the built-in head counts as one.
+        self.faults: list[str] = []  # One message for each of the first errors, with its rows.
+        self.more = 0  # Number of invalid rows that `faults` does not describe.
 
     def __iter__(self) -> Iterator[Row]:
-        """Yield the rows before the first invalid row; errors as in :meth:`valid`."""
+        """Read all rows, but yield only the rows before the first invalid row."""
         for _, row in self.valid():
             if not self._bad:
                 yield row
 
     def valid(self) -> Iterator[tuple[str, Row]]:
         """Yield all valid rows, each with its position in the table as a text for messages.
-
-        Raises
-        ------
-        InputError : the file cannot be read or has no rows
-        """
+        Raise InputError if the file cannot be read or has no rows."""
         meshes, ids = set[int](), array("q")  # Hashes of the ids: 8 bytes per row.
         errors: dict[str, tuple[str, array[int]]] = {}  # First position, and numbers of the rows.
-        for position, row in _rows(self._path, self._common):
+        for position, row in self._read():
             self.rows += 1
-            try:
-                if isinstance(row, InputError):
-                    raise row
-                _check(row)
-            except InputError as error:
-                self._bad += 1
-                text = clipped(str(error), 400)
-                if text in errors or len(errors) < self._most:
-                    errors.setdefault(text, (position, array("L")))[1].append(self.rows)
+            if isinstance(row, Row):
+                ids.append(hash(row.id))
+                meshes.add(hash(row.tables.get("mesh", {}).get("path")))
+                yield position, row
                 continue
-            ids.append(hash(row.id))
-            meshes.add(hash(row.tables.get("mesh", {}).get("path")))
-            yield position, row
+            self._bad += 1
+            text = clipped(str(row), 400)
+            if text in errors or len(errors) < self._most:
+                errors.setdefault(text, (position, array("L")))[1].append(self.rows)
         self.meshes = len(meshes)
         self.faults = [f"{self._place(*rows)}: {text}" for text, rows in errors.items()]
         described = sum(len(numbers) for _, numbers in errors.values())
@@ -124,6 +118,26 @@ class JobTable:
             self.faults, described = self.faults + faults, described + len(faults)
         self.more = self._bad + len(twice) - described
 
+    def _read(self) -> Iterator[tuple[str, Row | InputError]]:
+        """Yield pairs: a row's position, as a text for messages, and the row or its error."""
+        _scene_tables.cache_clear()  # the files may have changed
+        name = PurePath(self._path).name
+        defaults, folder = nested(self._common), os.getcwd()
+        base = _over_scene(defaults, defaults.pop("scene", None))
+        number = -1
+        for number, (line, parse) in enumerate(read_rows(self._path)):
+            position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
+            try:
+                values = parse()
+                scene = values.get("scene")
+                tables = base if scene is None else _over_scene(defaults, scene)
+                row: Row | InputError = _row(number, merged(tables, values), folder)
+            except InputError as error:
+                row = error
+            yield position, row
+        if number < 0:
+            raise InputError(f"{name} has no rows: give at least one")
+
     def _place(self, first: str, numbers: array[int]) -> str:
         """Describe the position of the rows with one error, of which the first is at `first`."""
         count, last = len(numbers), numbers[-1]
@@ -133,84 +147,25 @@ class JobTable:
         return f"{PurePath(self._path).name}, {rows} {numbers[0]} to {last}"
 
     def _duplicates(self, hashes: set[int]) -> list[str]:
-        """Describe the rows that repeat the id of an earlier row.
-
-        This reads the table a second time, because only hashes of the ids are in memory.
-        """
+        """Describe the rows that repeat the id of an earlier row."""
+        # This reads the table a second time, because only hashes of the ids are in memory.
         row_numbers: dict[str, int] = {}
         faults: list[str] = []
-        for position, row in _rows(self._path, self._common):
+        for position, row in self._read():
             if isinstance(row, Row) and hash(row.id) in hashes:
-                first = row_numbers.setdefault(row.id, row.number)
-                if first != row.number:
+                first = row_numbers.setdefault(row.id, row.number) + 1
+                if first <= row.number:
                     faults.append(
-                        f"{position}: id = {row.id!r} is used by row {first + 1}: give another"
+                        f"{position}: id = {row.id!r} is used by row {first}: give another"
                     )
                 if len(self.faults) + len(faults) == self._most:
                     break
         return faults
 
 
-def _rows(
-    path: str | os.PathLike[str], common: Mapping[str, Any]
-) -> Iterator[tuple[str, Row | InputError]]:
-    """Yield pairs: a row's position, as a text for messages, and the row or its error."""
-    _scene_tables.cache_clear()  # the files may have changed
-    name = PurePath(path).name
-    defaults, folder = nested(common), os.getcwd()
-    base = _over_scene(defaults, defaults.pop("scene", None))
-    number = -1
-    for number, (line, row_values) in enumerate(found_rows(path)):
-        position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
-        row: Row | InputError
-        try:
-            if isinstance(row_values, InputError):
-                raise row_values
-            scene = row_values.pop("scene", None)
-            tables = base if scene is None else _over_scene(defaults, scene)
-            row = _row(number, merged(tables, row_values), folder)
-        except InputError as error:
-            row = error
-        yield position, row
-    if number < 0:
-        raise InputError(f"{name} has no rows: give at least one")
-
-
 def _over_scene(tables: Table, scene: Any) -> Table:
     """Return the tables of the scene file `scene`, if given, updated with `tables`."""
-    if scene is None:
-        return tables
-    check_path("scene", scene)
-    return merged(_scene_tables(os.fspath(scene)), tables)
-
-
-def _row(number: int, values: Table, folder: str) -> Row:
-    values = with_default_lights(values)
-    meta = values.pop("meta", {})
-    if type(meta) is not dict:
-        raise InputError(f"meta = {shown(meta)}: give a table, or values such as meta.age")
-    tables: Table = {key: listed(value, key) for key, value in values.items()}
-    template = tables.pop("id", "{number:08d}")
-    outputs, exposure = tables.pop("outputs", "image"), tables.pop("exposure", 0.0)
-    for key in tables:
-        check_known("key", key, (*OWN, *TABLES))
-    if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
-        tables["image"] = {**image, "size": [*parse_size(str(image["size"]), "image size")]}
-    for key, names in FILES.items():
-        if type(table := tables.get(key)) is dict:
-            paths = {
-                name: _absolute(table[name], f"{key} {name}", folder)
-                for name in names
-                if name in table and (key, table[name]) != ("environment", STUDIO)
-            }
-            tables[key] = table | paths
-    if "landmarks" in tables:
-        tables["landmarks"] = _absolute(tables["landmarks"], "landmarks", folder)
-    if "environment" in tables:  # An environment replaces default lights, as in facerender render.
-        tables = {"lights": [], "ambient": 0.0, **tables}
-    EXPOSURES.check("exposure", exposure)
-    name = _id(template, number, tables)
-    return Row(number, name, tables, _outputs(outputs), float(exposure), meta)
+    return tables if scene is None else merged(_scene_tables(PATH.check("scene", scene)), tables)
 
 
 @lru_cache(64)
@@ -219,24 +174,61 @@ def _scene_tables(path: str) -> Table:
     return nested(read_toml(Path(path)))
 
 
+def _row(number: int, values: Table, folder: str) -> Row:
+    """Return the job of the merged tables of scene file, defaults and row. Paths are relative to
+    `folder`, and become absolute, because workers may have another working directory."""
+    values = with_default_lights(values)
+    values.pop("scene", None)
+    meta = values.pop("meta", {})
+    if type(meta) is not dict:
+        raise InputError(f"meta = {quoted(meta)}: give a table, or values such as meta.age")
+    tables: Table = {key: listed(value, key, NAMED) for key, value in values.items()}
+    template = tables.pop("id", "{number:08d}")
+    outputs, exposure = tables.pop("outputs", "image"), tables.pop("exposure", 0.0)
+    for key in tables:
+        check_known("key", key, (*ROW_KEYS, *TABLES))
+    if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
+        size = build(ImageSettings, {"size": str(image["size"])}, "image").size
+        tables["image"] = {**image, "size": [*size]}
+    tables = with_paths(tables, lambda name, path: _absolute(path, name, folder))
+    if "environment" in tables:  # An environment replaces default lights, as in facerender render.
+        tables = {"lights": [], "ambient": 0.0, **tables}
+    exposure = EXPOSURES.check("exposure", exposure)
+    row = Row(number, _id(template, number, tables), tables, _outputs(outputs), exposure, meta)
+    job = Job.from_dict(tables)
+    job.shading.check_lights(len(job.lights))
+    return row
+
+
+def with_paths(tables: Table, replace: Callable[[str, Any], Any]) -> Table:
+    """Return the tables of a job with `replace(name, path)` in the place of each path of a file."""
+    tables = dict(tables)
+    for key, names in FILES.items():
+        if type(table := tables.get(key)) is dict:
+            paths = {name: replace(f"{key} {name}", table[name]) for name in names if name in table}
+            tables[key] = table | paths
+    if "landmarks" in tables:
+        tables["landmarks"] = replace("landmarks", tables["landmarks"])
+    return tables
+
+
 def _absolute(path: Any, name: str, folder: str) -> Any:
-    """Return a path as an absolute path: workers may have another working directory."""
-    if not isinstance(path, str):
-        return path  # `Job.from_dict` rejects it.
+    if not isinstance(path, str) or (name, path) == ("environment file", STUDIO):
+        return path  # If it is not a text, the constructor of the job rejects it.
     with suppress(ValueError):
         if path and b"\0" not in os.fsencode(path):
             return path if "://" in path else os.path.normpath(os.path.join(folder, path))
-    raise InputError(f"{name} = {shown(path)} is not a path: give another")
+    raise InputError(f"{name} = {quoted(path)} is not a path: give another")
 
 
 def _outputs(value: Any) -> tuple[str, ...]:
     names = [name.strip() for name in value.split(",")] if isinstance(value, str) else value
     if not isinstance(names, list) or not names:
-        raise InputError(f"outputs = {shown(value)}: give a list of {', '.join(OUTPUTS)}")
-    check_outputs(names)
+        raise InputError(f"outputs = {quoted(value)}: give a list of {', '.join(OUTPUTS)}")
     for name in names:
-        if names.count(name) > 1:
-            raise InputError(f"output {name} is given twice: leave one out")
+        check_known("output", name, OUTPUTS)
+    if (twice := repeated(names)) is not None:
+        raise InputError(f"output {twice} is given twice: leave one out")
     return tuple(names)
 
 
@@ -245,45 +237,26 @@ def file_name(output: str) -> str:
     return "layers.exr" if output == "layers" else f"{output}.png"
 
 
-def check_outputs(names: Sequence[str]) -> None:
-    """Raise InputError for an unknown output."""
-    for name in names:
-        check_known("output", name, OUTPUTS)
-
-
-# --- ids -----------------------------------------------------------------------------------------
-
-
 def _id(template: Any, number: int, tables: Table) -> str:
-    text = template
-    if isinstance(template, str) and not template.isalnum():
-        text = "".join([_part(template, *part, number, tables) for part in _parts(template)])
-    elif type(template) is int:
-        text = str(template)
+    text = str(template) if type(template) is int else template
+    if isinstance(text, str) and not text.isalnum():
+        if not {"{", "}"}.isdisjoint(_FIELD.sub("", text)):
+            raise InputError(
+                f"id = {quoted(template)} is not a template: give {{NAME}} or {{NAME:FORMAT}}, "
+                "such as {number:06d}"
+            )
+        text = _FIELD.sub(lambda field: _formatted(field, number, tables), text)
     if not isinstance(text, str) or not _ID.fullmatch(text):
         raise InputError(
-            f"id = {shown(text)}: give 1 to 128 letters, digits, '.', '_' and '-', and no '.' first"
+            f"id = {quoted(text)}: give 1 to 128 letters, digits, '.', '_' and '-', and no '.' "
+            "first"
         )
     return text
 
 
-@lru_cache(256)
-def _parts(template: str) -> list[tuple[str, str, str]]:
-    """Split an id template into triples: literal text, then name and format of the next field."""
-    parts = []
-    try:
-        for literal, name, spec, conversion in string.Formatter().parse(template):
-            if conversion is not None or name == "" or not _SPEC.fullmatch(spec or ""):
-                raise ValueError("give {NAME} or {NAME:FORMAT}, such as {number:06d}")
-            parts.append((literal, name or "", spec or ""))
-    except ValueError as error:
-        raise InputError(f"id = {shown(template)} is not a template: {error}") from None
-    return parts
-
-
-def _part(template: str, literal: str, name: str, spec: str, number: int, tables: Table) -> str:
-    if not name:
-        return literal
+def _formatted(field: re.Match[str], number: int, tables: Table) -> str:
+    """Return the text of a field {NAME:FORMAT} of a template."""
+    template, (name, spec) = field.string, field.groups()
     value: Any = number
     if name == "mesh.stem":
         mesh = tables.get("mesh")
@@ -296,7 +269,7 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
                 value = value[int(key) if isinstance(value, list) else key]
             except (LookupError, TypeError, ValueError):
                 raise InputError(
-                    f"id = {shown(template)} uses {name}, which the row does not define"
+                    f"id = {quoted(template)} uses {name}, which the row does not define"
                 ) from None
     if isinstance(value, bool):
         value = str(value).lower()
@@ -306,25 +279,164 @@ def _part(template: str, literal: str, name: str, spec: str, number: int, tables
         text = format(value, spec)
     except (TypeError, ValueError):
         raise InputError(
-            f"id = {shown(template)}: {name} = {shown(value)} cannot be formatted as {spec!r}"
+            f"id = {quoted(template)}: {name} = {quoted(value)} cannot be formatted as {spec!r}"
         ) from None
-    return literal + re.sub("[^A-Za-z0-9._-]", "_", text.replace("+", ""))
+    return re.sub("[^A-Za-z0-9._-]", "_", text.replace("+", ""))
 
 
-# --- checks --------------------------------------------------------------------------------------
+Layout = Literal["files", "shards"]
+Record = dict[str, Any]  # the record of a drawn or failed job
+
+_PACKAGE = Path(__file__).parents[1]
+_LARGEST = 128  # maximum number of jobs per chunk
+# Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
+# same mesh; the waiting jobs would fill at most this number of chunks.
+_CHUNKS = 64
 
 
-def _check(row: Row) -> None:
-    """Check the tables of a row as :meth:`facerender.Job.from_dict` does."""
+@dataclass(frozen=True)
+class Settings:
+    """Settings that all jobs of a batch share."""
+
+    output: str  # A folder, or a URL.
+    layout: Layout = "files"  # "files": a folder per job; "shards": a tar per chunk.
+    backend: Backend = "auto"
+    timeout: float = 300.0  # Seconds without a message after which a worker counts as hung.
+    tries: int = 3  # Maximum number of attempts for a job that crashes or hangs its worker.
+    code_version: str = ""  # Digest of the code that draws, see :func:`code_version`.
+    # ID of the command. A worker that outlives its killed command stops writing if batch.json
+    # contains the ID of another command.
+    run: str = field(default_factory=lambda: uuid4().hex)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A group of jobs."""
+
+    number: int  # Index among the chunks of the batch.
+    rows: tuple[Row, ...]
+    keys: tuple[str, ...]  # For each job, a digest of everything that its files depend on.
+    # Records of jobs that an earlier run has drawn, keyed by the job's index in the chunk.
+    kept: Mapping[int, Record] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """The name, without suffix, of the chunk's record and of its tar."""
+        return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
+
+    def identity(self, position: int) -> Record:
+        """Return the items of a job's record that identify the job."""
+        row = self.rows[position]
+        return {"id": row.id, "number": row.number, "key": self.keys[position]}
+
+
+def chunks(
+    rows: Iterable[Row], size: int | None = None, layout: Layout = "files"
+) -> Iterator[Chunk]:
+    """Divide rows into chunks of at most `size` jobs, or of 1 to 128, depending on the number of
+    rows. Rows with equal mesh and image tables share a chunk where possible. Raise InputError for
+    an id with a dot in layout "shards"."""
+    rows = iter(rows)
+    if size is None:
+        # A table may have more rows than fit into memory: read only as many as determine the size.
+        first_rows = [*islice(rows, _CHUNKS * _LARGEST)]
+        # The size does not depend on the workers: any number of workers gives the same chunks.
+        size = 32 if layout == "shards" else 1  # Readers shuffle whole tars.
+        while size < _LARGEST and len(first_rows) >= 2 * _CHUNKS * size:
+            size *= 2
+        rows = chain(first_rows, rows)
+        del first_rows
+    for number, group in enumerate(_groups(rows, size, layout)):
+        yield Chunk(number, tuple(group), tuple(map(key_of, group)))
+
+
+def _groups(rows: Iterable[Row], size: int, layout: Layout) -> Iterator[list[Row]]:
+    waiting: dict[str, list[Row]] = {}  # keyed by mesh and image, in the order of the first rows
+    waiting_count = 0
+
+    def packed() -> list[Row]:
+        """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
+        rows_of_groups: list[Row] = []
+        for name in list(waiting):
+            if rows_of_groups and len(rows_of_groups) + len(waiting[name]) > size:
+                break
+            rows_of_groups += waiting.pop(name)
+        return rows_of_groups
+
+    for row in rows:
+        if layout == "shards" and "." in row.id:
+            raise InputError(
+                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
+                "an id without a dot, or use --layout files"
+            )
+        name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
+        group = waiting.setdefault(name, [])
+        group.append(row)
+        waiting_count += 1
+        if len(group) == size or waiting_count >= _CHUNKS * size:
+            group = waiting.pop(name) if len(group) == size else packed()
+            waiting_count -= len(group)
+            yield group
+    while waiting:
+        yield packed()
+
+
+@cache
+def code_version() -> str:
+    """Return a digest of the package version and of all sources that the pixels depend on."""
+    # Whole packages: drawing a job once too often is cheaper than mixing images of two versions.
+    lower = "values", "terms", "images", "texture", "mesh", "loading", "scene"
+    folders = *lower, "glsl", "drawing"
+    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
+    paths += (_PACKAGE / name for name in ("batch/outputs.py", "material.py"))
+    paths.append(RELIEFS)  # the frame of a camera depends on them
+    paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
+    return digest_of(__version__, *(path.read_bytes() for path in paths))
+
+
+def key_of(row: Row) -> str:
+    """Return a digest of everything that a job's files and record depend on."""
+    mesh = _mesh_with_contents(json.dumps(row.tables.get("mesh", {})))
+    tables = with_paths({**row.tables, "mesh": mesh}, lambda _, path: _content(path))
+    inputs = [row.id, tables, row.outputs, row.exposure]
+    inputs += [row.meta] if row.meta else []
+    return digest_of(code_version(), json.dumps(inputs, sort_keys=True))[:24]
+
+
+def forget_files() -> None:
+    """Clear the cached digests of files, which may have changed."""
+    _mesh_with_contents.cache_clear()
+    _mesh_content.cache_clear()
+    _content.cache_clear()
+
+
+@lru_cache(100_000)
+def _mesh_with_contents(table: str) -> str:
+    """Return a mesh table as JSON, with digests of files instead of paths."""
+    mesh = json.loads(table)
+    source = mesh.get("path") or str(data_dir("assets") / "head.glb")
+    files = [_content(mesh.get(name) or "") for name in MESH_PATHS if name != "path"]
+    options = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
+    return json.dumps([_mesh_content(source), files, options])
+
+
+@lru_cache(100_000)
+def _mesh_content(path: str) -> str:
+    """Return a digest of a mesh file and of the files that it references."""
     try:
-        for key, value in row.tables.items():
-            job_value(key, value)
-        if "landmarks" in row.tables:
-            check_path("landmarks", row.tables["landmarks"])
-        if "shading" in row.tables:
-            lights = row.tables.get("lights", Scene.lights)
-            Shading.from_dict(row.tables["shading"]).check_lights(len(lights))
+        source = source_of(path)
     except InputError:
-        raise
-    except (TypeError, ValueError, ArithmeticError) as error:  # A value of an unexpected type.
-        raise InputError(f"{shown(row.tables)} cannot be used: {error}") from None
+        return digest_of(_content(path))
+    content = hashlib.blake2b(source.content).hexdigest()[:32]
+    return digest_of(content, *(_content(str(reference)) for reference in named_files(source)))
+
+
+@lru_cache(100_000)
+def _content(path: str) -> str:
+    """Return a digest of a file's content, or the file's path if the file cannot be read."""
+    # The loader reports the error of an unreadable file, for its own job only.
+    with suppress(OSError, ValueError):
+        if os.path.isfile(path):
+            with open(path, "rb") as file:
+                return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
+    return f"absent: {path}"

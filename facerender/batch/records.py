@@ -1,121 +1,110 @@
-"""Chunks of jobs that are drawn, written and committed together, and their storage: a local folder,
-or a URL that fsspec supports (s3://...).
+"""The output of a batch: a local folder, or a URL that fsspec supports (s3://...), with the files
+and records of jobs, batch.json, and the tables of a finished batch. The messages between a worker
+and its supervisor are here as well.
 
-The name of a chunk contains a digest of everything that the chunk's files depend on. Each file is
-written atomically. The record of a chunk is written last: its presence marks a finished chunk. The
-messages between a worker and its supervisor are here as well."""
+The name of a chunk contains a digest of the keys of its jobs. The presence of its record marks a
+finished chunk, so the records alone define which jobs are done."""
 
 from __future__ import annotations
 
 import hashlib
-import itertools
 import json
 import os
+import pickle
 import shutil
 import tarfile
 import tempfile
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass, field
-from functools import cache, lru_cache
-from io import BufferedReader, BytesIO
-from itertools import chain, count, islice
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from io import BytesIO
+from itertools import starmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import IO, Literal
 from uuid import uuid4
 
+import numpy as np
+
 from facerender import __version__
-from facerender.batch.jobs import FILES, Row, file_name
-from facerender.errors import InputError
-from facerender.loading.source import named_files, source_of
-from facerender.mesh.face import RELIEFS
-from facerender.scene.job import MESH_PATHS
-from facerender.system.files import TEMPORARY, CannotUse, data_dir, digest_of, reported
-
-if TYPE_CHECKING:
-    from facerender.drawing.context import Backend
-
+from facerender.batch.jobs import Chunk, Record, Row, Settings, chunks, file_name, forget_files
+from facerender.batch.outputs import transforms_frame
+from facerender.batch.tables import json_lines, write_parquet
+from facerender.errors import InputError, reason
+from facerender.system.files import TEMPORARY, CannotUse, reported
+from facerender.system.signals import if_ended
 
 _UNFINISHED = ".unfinished"
 _AGAIN = "and run the same command again"
 
 
 class Storage:
-    """Files below a root, addressed by relative paths with slashes.
-
-    Parameters
-    ----------
-    root : path of a folder, or a URL that fsspec supports
-
-    Raises
-    ------
-    InputError : the protocol of the URL is unknown, or the Python package for it is missing. All
-        methods raise CannotUse if a file cannot be written or read
-    """
+    """Files below a folder, or a URL that fsspec supports, with relative paths as names. Methods
+    raise CannotUse if a file cannot be written or read."""
 
     def __init__(self, root: str) -> None:
-        root = root.rstrip("/")
-        self.root, self.remote = root, "://" in root
+        self.root = self._path = root.rstrip("/")
+        self.remote = "://" in self.root
         if not self.remote:
             return
         try:
             import fsspec
         except ImportError:
-            raise InputError(f"{root} needs fsspec: pip install 'facerender[batch]'") from None
+            raise InputError(f"{self.root} needs fsspec: pip install 'facerender[batch]'") from None
         try:
             # A cached listing would miss files that other processes have written since.
-            self._system, path = fsspec.core.url_to_fs(root, use_listings_cache=False)
+            system, path = fsspec.core.url_to_fs(self.root, use_listings_cache=False)
         except (ValueError, ImportError) as error:
             raise InputError(
-                f"{root} cannot be reached ({error}); give a folder or a URL"
+                f"{self.root} cannot be reached ({error}); give a folder or a URL"
             ) from None
-        self._path = str(path)
+        self._system, self._path = system, str(path)
+
+    def _at(self, name: str) -> str:
+        return f"{self._path}/{name}"
 
     def put(self, name: str, content: bytes) -> None:
         """Write a file atomically."""
         if self.remote:
             with self._writing(name):
-                self._system.pipe_file(f"{self._path}/{name}", content)
-            return
+                self._system.pipe_file(self._at(name), content)
+        else:
+            self.write(name, lambda file: file.write_bytes(content))
+
+    def write(self, name: str, write: Callable[[Path], object]) -> None:
+        """Write a file atomically with a function that writes to a path."""
         with self.temporary() as file:
             with self.scratch():
-                file.write_bytes(content)
+                write(file)
             self.move(file, name)
 
-    def move(self, source: Path, name: str) -> None:
-        """Move a local file, usually from :meth:`temporary`, to a name in this storage."""
+    def move(self, source: Path | str, name: str) -> None:
+        """Move a local file from :meth:`temporary`, or a file with a name in this storage."""
         with self._writing(name):
-            if self.remote:
-                self._system.put_file(str(source), f"{self._path}/{name}")
-                source.unlink()
-                return
-            target = Path(self.root, name)
-            try:
-                os.replace(source, target)
-            except FileNotFoundError:
+            if not self.remote:
+                source = Path(self.root, source) if isinstance(source, str) else source
+                target = Path(self.root, name)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(source, target)
+            elif isinstance(source, str):
+                self._system.mv(self._at(source), self._at(name))
+            else:
+                self._system.put_file(str(source), self._at(name))
+                source.unlink()
 
     def has(self, name: str) -> bool:
         """Return whether a file exists."""
-        if self.remote:
-            with self._reading(name):
-                return bool(self._system.exists(f"{self._path}/{name}"))
-        return os.path.exists(Path(self.root, name))
-
-    def rename(self, name: str, other: str) -> None:
-        """Rename a file."""
-        if self.remote:
-            with self._writing(other):
-                self._system.mv(f"{self._path}/{name}", f"{self._path}/{other}")
-        else:
-            self.move(Path(self.root, name), other)
+        with self._reading(name):
+            exists = self._system.exists if self.remote else os.path.exists
+            return bool(exists(self._at(name)))
 
     @contextmanager
     def temporary(self) -> Iterator[Path]:
         """Yield a unique local path, whose folder exists. Remove the file at the end of the context
         unless it has been moved."""
-        if self.remote:  # Users of a machine share this folder, so it gets no folder of one user.
+        if self.remote:
+            # All users of a machine share this folder: a subfolder would belong to the first user.
             file = Path(temporary_folder(), f"{TEMPORARY}{uuid4().hex}")
         else:
             file = Path(self.root, _UNFINISHED, uuid4().hex)
@@ -131,22 +120,22 @@ class Storage:
         """Return a context in which an OSError of a temporary file raises CannotUse."""
         return reported("write", temporary_folder() if self.remote else self.root, _AGAIN)
 
-    def get(self, name: str, most: int | None = None) -> bytes:
-        """Return a file's content, or its first `most` bytes; raise FileNotFoundError if absent."""
+    def get(self, name: str, max_bytes: int | None = None) -> bytes:
+        """Return a file's content, or its first bytes; raise FileNotFoundError if absent."""
         with self._reading(name):
             if self.remote:
-                return bytes(self._system.cat_file(f"{self._path}/{name}", end=most))
-            with open(f"{self.root}/{name}", "rb") as file:
-                return file.read(-1 if most is None else most)
+                return bytes(self._system.cat_file(self._at(name), end=max_bytes))
+            with open(self._at(name), "rb") as file:
+                return file.read(max_bytes)
 
     def names(self, folder: str) -> list[str]:
         """Return the names of the files in a folder; empty if the folder does not exist."""
         try:
             with self._reading(folder):
-                if self.remote:
-                    paths = self._system.ls(f"{self._path}/{folder}", detail=False)
-                    return [path.rpartition("/")[2] for path in paths]
-                return os.listdir(Path(self.root, folder))
+                if not self.remote:
+                    return os.listdir(self._at(folder))
+                paths = self._system.ls(self._at(folder), detail=False)
+                return [path.rpartition("/")[2] for path in paths]
         except FileNotFoundError:
             return []
 
@@ -155,14 +144,8 @@ class Storage:
         with self._writing(name):
             if not self.remote:
                 Path(self.root, name).unlink(missing_ok=True)
-            elif self._system.exists(f"{self._path}/{name}"):
-                self._system.rm_file(f"{self._path}/{name}")
-
-    def prune(self, name: str) -> None:
-        """Remove the folder of a file if the folder is empty. Call only while no worker writes."""
-        with suppress(OSError):
-            if not self.remote:
-                Path(self.root, name).parent.rmdir()
+            elif self._system.exists(self._at(name)):
+                self._system.rm_file(self._at(name))
 
     def sweep(self) -> None:
         """Remove temporary files of interrupted writers. Call this only while no worker writes."""
@@ -191,192 +174,6 @@ def temporary_folder() -> str:
         return os.environ.get("TMPDIR", "/tmp")
 
 
-Layout = Literal["files", "shards"]
-Record = dict[str, Any]  # the record of a drawn or failed job
-
-_PACKAGE = Path(__file__).parents[1]
-_LARGEST = 128  # maximum number of jobs per chunk
-# Minimum number of chunks, if there are enough jobs. Jobs wait in memory for more jobs with the
-# same mesh; the waiting jobs would fill at most this number of chunks.
-_CHUNKS = 64
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Settings that all jobs of a batch share."""
-
-    output: str  # A folder, or a URL.
-    layout: Layout = "files"  # "files": a folder per job; "shards": a tar per chunk.
-    backend: Backend = "auto"
-    timeout: float = 300.0  # Seconds without a message after which a worker counts as hung.
-    tries: int = 3  # Maximum number of attempts for a job that crashes or hangs its worker.
-    code_version: str = ""  # Digest of the code that draws, see :func:`code_version`.
-    # ID of the command. A worker that outlives its killed command stops writing if batch.json
-    # contains the ID of another command.
-    run: str = field(default_factory=lambda: uuid4().hex)
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """A group of jobs."""
-
-    number: int  # Index among the chunks of the batch.
-    rows: tuple[Row, ...]
-    keys: tuple[str, ...]  # For each job, a digest of everything that its files depend on.
-    # Records of jobs that an earlier run has drawn, keyed by the job's index in the chunk.
-    kept: Mapping[int, Record] = field(default_factory=dict)
-
-    def __str__(self) -> str:
-        return f"chunk {self.number}"
-
-    @property
-    def name(self) -> str:
-        """The name, without suffix, of the chunk's record and of its tar."""
-        return f"{self.number:06d}-{digest_of(*self.keys)[:16]}"
-
-
-def chunk_size(total: int, layout: Layout) -> int:
-    """Return the number of jobs per chunk.
-
-    The size depends only on the total number of jobs and the layout: any number of workers gives
-    the same chunks.
-    """
-    size = 32 if layout == "shards" else 1  # Readers shuffle whole tars.
-    while size < _LARGEST and total >= 2 * _CHUNKS * size:
-        size *= 2
-    return size
-
-
-def chunks(
-    rows: Iterable[Row], size: int | None = None, layout: Layout = "files"
-) -> Iterator[Chunk]:
-    """Divide rows into chunks; rows with equal mesh and image tables share a chunk where possible.
-
-    Few rows are in memory at a time. Raise InputError for an id with a dot in layout "shards".
-
-    size : maximum number of jobs per chunk; None: the result of :func:`chunk_size`
-    """
-    rows = iter(rows)
-    if size is None:
-        first_rows = [*islice(rows, _CHUNKS * _LARGEST)]
-        size = chunk_size(len(first_rows), layout)
-        rows = chain(first_rows, rows)
-        del first_rows
-    waiting: dict[str, list[Row]] = {}
-    waiting_count, numbers = 0, count()
-
-    def close(group: list[Row]) -> Chunk:
-        return Chunk(next(numbers), tuple(group), tuple(map(key_of, group)))
-
-    def pack() -> list[Row]:
-        """Return the rows of the longest-waiting groups: as many groups as fit into a chunk."""
-        packed: list[Row] = []
-        for name in list(waiting):
-            if packed and len(packed) + len(waiting[name]) > size:
-                break
-            packed += waiting.pop(name)
-        return packed
-
-    for row in rows:
-        if layout == "shards" and "." in row.id:
-            raise InputError(
-                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
-                "an id without a dot, or use --layout files"
-            )
-        name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
-        group = waiting.setdefault(name, [])
-        group.append(row)
-        waiting_count += 1
-        if len(group) == size:
-            packed = waiting.pop(name)
-        elif waiting_count >= _CHUNKS * size:
-            packed = pack()
-        else:
-            continue
-        waiting_count -= len(packed)
-        yield close(packed)
-    while waiting:
-        yield close(pack())
-
-
-@cache
-def code_version() -> str:
-    """Return a digest of the package version and of all sources that the pixels depend on."""
-    lower = "values", "terms", "images", "texture", "mesh", "loading", "scene"
-    folders = *lower, "glsl", "drawing"
-    paths = [path for name in folders for path in sorted((_PACKAGE / name).rglob("*.py"))]
-    paths += (_PACKAGE / name for name in ("batch/outputs.py", "material.py"))
-    paths.append(RELIEFS)  # the frame of a camera depends on them
-    paths += sorted(path for path in data_dir("shaders").rglob("*") if path.is_file())
-    return digest_of(__version__, *(path.read_bytes() for path in paths))
-
-
-def key_of(row: Row) -> str:
-    """Return a digest of everything that a job's files and record depend on.
-
-    The digests of the job's input files are cached until :func:`forget_files` is called.
-    """
-    facts = [row.id, _with_contents(row.tables), row.outputs, row.exposure]
-    facts += [row.meta] if row.meta else []
-    return digest_of(code_version(), json.dumps(facts, sort_keys=True))[:24]
-
-
-def _with_contents(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a job, with digests of files instead of their paths."""
-    tables = dict(tables)
-    tables["mesh"] = _mesh_facts(json.dumps(tables.get("mesh", {})))
-    for key, names in FILES.items():
-        if isinstance(table := tables.get(key), dict):
-            tables[key] = table | {n: _content(table[n]) for n in names if table.get(n)}
-    if isinstance(landmarks := tables.get("landmarks"), str):
-        tables["landmarks"] = _content(landmarks)
-    return tables
-
-
-def forget_files() -> None:
-    """Clear the cached digests of files, which may have changed."""
-    _mesh_facts.cache_clear()
-    _mesh_content.cache_clear()
-    _content.cache_clear()
-
-
-@lru_cache(100_000)
-def _mesh_facts(table: str) -> str:
-    """Return a mesh table as JSON, with digests of files instead of paths."""
-    mesh = json.loads(table)
-    source = mesh.get("path") or str(data_dir("assets") / "head.glb")
-    files = [_content(mesh.get(name) or "") for name in MESH_PATHS if name != "path"]
-    options = [(key, mesh[key]) for key in sorted(mesh) if key not in MESH_PATHS]
-    return json.dumps([_mesh_content(source), files, options])
-
-
-@lru_cache(100_000)
-def _mesh_content(path: str) -> str:
-    """Return a digest of a mesh file and of the files that it references."""
-    try:
-        source = source_of(path)
-    except InputError:
-        return digest_of(_content(path))
-    content = _digest_of_file(BytesIO(source.content))
-    return digest_of(content, *(_content(str(reference)) for reference in named_files(source)))
-
-
-@lru_cache(100_000)
-def _content(path: str) -> str:
-    """Return a digest of a file's content, or the file's path if the file cannot be read."""
-    try:
-        if os.path.isfile(path):
-            with open(path, "rb") as file:
-                return _digest_of_file(file)
-    except (OSError, ValueError):
-        pass  # the loader reports the error
-    return f"absent: {path}"
-
-
-def _digest_of_file(file: BytesIO | BufferedReader) -> str:
-    return hashlib.file_digest(file, "blake2b").hexdigest()[:32]
-
-
 ABOUT = "batch.json"  # Settings of the batch, and the ID of the last run.
 BEGUN = "begun"  # Folder: for each unfinished chunk, a list of its files.
 RECORDS = "records"
@@ -385,11 +182,8 @@ _BLOCK = 512  # Bytes per tar block.
 
 
 class Writer:
-    """Writer of a chunk's output files, in the order of its jobs: separate files or one tar.
-
-    ``tar``: the unfinished tar with layout "shards"; None with layout "files"; ``size``: number of
-    valid bytes in the tar; the constructor cuts off the rest.
-    """
+    """Writer of a chunk's output files, in the order of its jobs: separate files or, with layout
+    "shards", one unfinished tar, of which the first `size` bytes are valid."""
 
     def __init__(self, settings: Settings, chunk: Chunk, tar: Path | None, size: int) -> None:
         self.storage, self.chunk, self._run = Storage(settings.output), chunk, settings.run
@@ -399,8 +193,8 @@ class Writer:
             with self.storage.scratch(), tar.open("r+b" if size else "wb") as file:
                 file.truncate(size)
 
-    def write(self, position: int, files: Mapping[str, bytes], facts: Record) -> Record:
-        """Write the files of a job and return the job's record; errors as in Storage."""
+    def write(self, position: int, files: Mapping[str, bytes], description: Record) -> Record:
+        """Write the files of a job, and return the job's record with the items of `description`."""
         row = self.chunk.rows[position]
         # On remote storage this check would cost one request per job.
         if self._tar is None and not self.storage.remote:
@@ -412,21 +206,18 @@ class Writer:
                 self.storage.put(path, content)
             digest = hashlib.sha256(content).hexdigest()
             written[name] = {"path": path, "bytes": len(content), "sha256": digest}
-        record = self._record(position, facts, written)
+        record = {**self.chunk.identity(position), **description, "files": written}
         if self._tar is not None:
             members = {f"{row.id}.{name}": content for name, content in files.items()}
             members[f"{row.id}.json"] = json.dumps(record).encode()
             with self.storage.scratch():
-                self.size = _append(self._tar, itertools.starmap(_member, members.items()))
+                self.size = _append(self._tar, starmap(_member, members.items()))
         return record
 
     def keep(self, position: int) -> Record | None:
-        """Reuse the files of a job that an earlier run drew, and return the new record.
-
-        Return None if no earlier run drew the job, or if its files have changed.
-        """
-        if (record := self.chunk.kept.get(position)) is None:
-            return None
+        """Reuse the files of a job in `chunk.kept`, and return the new record; return None if the
+        files have changed since."""
+        record = self.chunk.kept[position]
         try:
             files = _read_files(self._get, record)
         except (OSError, CannotUse, KeyError, tarfile.TarError):
@@ -434,15 +225,11 @@ class Writer:
         digests = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
         if digests != {name: about["sha256"] for name, about in record["files"].items()}:
             return None  # Another run has overwritten the files.
-        facts = {key: record[key] for key in record if key not in ("id", "number", "key", "files")}
+        identity = self.chunk.identity(position)
         if self._tar is None:
-            return self._record(position, facts, record["files"])
-        return self.write(position, files, facts)
-
-    def _record(self, position: int, facts: Record, files: Record) -> Record:
-        row = self.chunk.rows[position]
-        about = {"id": row.id, "number": row.number, "key": self.chunk.keys[position]}
-        return {**about, **facts, "files": files}
+            return {**record, **identity}
+        description = {key: record[key] for key in record if key not in (*identity, "files")}
+        return self.write(position, files, description)
 
 
 def _check_run(storage: Storage, run: str) -> None:
@@ -459,31 +246,21 @@ def _check_run(storage: Storage, run: str) -> None:
 
 
 def begin(settings: Settings, chunk: Chunk) -> None:
-    """Write a list of the files that a chunk will have.
-
-    If the chunk is interrupted and its jobs change, a later run removes the listed files.
-
-    Raises
-    ------
-    CannotUse : the list cannot be written, or another run has started
-    """
-    storage = Storage(settings.output)
-    _check_run(storage, settings.run)
+    """Write a list of the files that a chunk will have."""
+    # If the chunk is interrupted and its jobs change, a later run removes the listed files.
     named: list[Record] = []
     for row in chunk.rows:
         names = map(file_name, row.outputs)
         files = {n: {"path": _path(chunk, row, n, settings.layout == "shards")} for n in names}
         named.append({"id": row.id, "key": "", "files": files})
-    _put_records(storage, f"{BEGUN}/{chunk.name}.jsonl", chunk, named, 0)
+    storage = Storage(settings.output)
+    _check_run(storage, settings.run)
+    _put_records(storage, BEGUN, chunk, named, 0)
 
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
     """Finish the tar of a chunk, then write the chunk's record, which marks the chunk as done.
-    A chunk without drawn jobs has no tar.
-
-    The first line of the record counts the drawn and failed jobs; each further line describes one
-    job. Raises CannotUse if a file cannot be written, or another run has started.
-    """
+    A chunk without drawn jobs has no tar."""
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
     done = sum("error" not in record for record in records)
@@ -491,18 +268,18 @@ def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence
         with storage.scratch():
             _append(tar, [bytes(2 * _BLOCK)])
         storage.move(tar, f"shards/{chunk.name}.tar")
-    _put_records(
-        storage, f"{RECORDS}/{chunk.name}.jsonl", chunk, records, done, len(records) - done
-    )
+    _put_records(storage, RECORDS, chunk, records, done)
     storage.drop(f"{BEGUN}/{chunk.name}.jsonl")
 
 
 def _put_records(
-    storage: Storage, name: str, chunk: Chunk, records: Sequence[Record], done: int, failed: int = 0
+    storage: Storage, folder: str, chunk: Chunk, records: Sequence[Record], done: int
 ) -> None:
+    """Write a line that counts the drawn and failed jobs, then a line for each job."""
+    failed = sum("error" in record for record in records)
     head = {"chunk": chunk.number, "done": done, "failed": failed}
     lines = "".join(json.dumps(entry) + "\n" for entry in (head, *records))
-    storage.put(name, lines.encode())
+    storage.put(f"{folder}/{chunk.name}.jsonl", lines.encode())
 
 
 def _path(chunk: Chunk, row: Row, name: str, shards: bool) -> str:
@@ -522,11 +299,9 @@ def _read_files(get: Callable[[str], bytes], record: Record) -> dict[str, bytes]
 
 
 def _append(tar: Path, pieces: Iterable[bytes]) -> int:
-    """Append to an existing tar and return the new size of the tar.
-
-    This function never creates a tar: if another coordinator has removed the tar, a new one would
-    lack the earlier members.
-    """
+    """Append to an existing tar and return the new size of the tar."""
+    # This mode never creates a tar: if another coordinator has removed the tar, a new one would
+    # lack the earlier members.
     with tar.open("r+b") as file:
         file.seek(0, os.SEEK_END)
         file.writelines(pieces)
@@ -534,7 +309,8 @@ def _append(tar: Path, pieces: Iterable[bytes]) -> int:
 
 
 def _member(name: str, content: bytes) -> bytes:
-    entry = tarfile.TarInfo(name)  # Default owner, mode and time: equal jobs give equal bytes.
+    # With the default owner, mode and time, equal jobs give equal bytes.
+    entry = tarfile.TarInfo(name)
     entry.size = len(content)
     return entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % _BLOCK)
 
@@ -545,7 +321,7 @@ def read_head(storage: Storage, name: str) -> dict[str, int]:
     return dict(json.loads(head))
 
 
-def records_of(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
+def read_records(storage: Storage, name: str, folder: str = RECORDS) -> Iterator[Record]:
     """Yield the records of a chunk's drawn and failed jobs."""
     for line in storage.get(f"{folder}/{name}.jsonl").splitlines()[1:]:
         yield json.loads(line)
@@ -588,13 +364,256 @@ class Message:
     text: str = ""  # In the step "cannot", the reason.
 
 
-def failure(chunk: Chunk, position: int, kind: str, text: str) -> Record:
+def failure(chunk: Chunk, position: int, error_type: str, text: str) -> Record:
     """Return the record of a failed job."""
-    row = chunk.rows[position]
-    job = {"id": row.id, "number": row.number, "key": chunk.keys[position]}
-    return {**job, "error": text, "kind": kind, "job": row.tables, **meta_of(row)}
+    error = {"error": text, "kind": error_type}
+    return {**chunk.identity(position), **error, **inputs_of(chunk.rows[position])}
 
 
-def meta_of(row: Row) -> Record:
-    """Return the item "meta" of a job's record, if the job has it."""
-    return {"meta": row.meta} if row.meta else {}
+def inputs_of(row: Row) -> Record:
+    """Return the items of a job's record that come from its table."""
+    return {"job": row.tables, **({"meta": row.meta} if row.meta else {})}
+
+
+FAILED = "failed.jsonl"  # Records of the failed jobs.
+TABLES = ("jobs.jsonl", "jobs.parquet", FAILED, "transforms.json")
+# Maximum bytes of a temporary file in memory; a larger file is on disk.
+_IN_MEMORY = 1 << 20
+
+
+class Work:
+    """The chunks of a batch in a temporary file, and the names of the chunks to draw."""
+
+    # A Python table may give other rows when it is read again, and a large table does not fit into
+    # memory.
+
+    def __init__(self, file: IO[bytes], all_chunks: Iterable[Chunk]) -> None:
+        self._file = file
+        self.ids = array("q")  # hashes of the ids of all jobs, 8 bytes each
+        self.sizes: dict[str, int] = {}  # number of jobs, keyed by the name of a chunk, in order
+        self.todo: list[str] = []  # names of the chunks to draw, see `start`
+        self._offsets: dict[str, int] = {}
+        for chunk in all_chunks:
+            self.sizes[chunk.name], self._offsets[chunk.name] = len(chunk.rows), file.tell()
+            self.ids.extend(hash(row.id) for row in chunk.rows)
+            pickle.dump(chunk, file, protocol=pickle.HIGHEST_PROTOCOL)
+        file.flush()
+
+    @property
+    def left(self) -> int:
+        """The number of jobs in the chunks to draw."""
+        return sum(self.sizes[name] for name in self.todo)
+
+    def chunks(self, storage: Storage) -> Iterator[Chunk]:
+        """Yield the chunks to draw, each with the records of its jobs that are already drawn.
+
+        The records come from stale chunks, or from the same chunk if another of its jobs failed.
+        """
+        finished = record_names(storage)
+        folders = [(RECORDS, name) for name in self.todo if name in finished]
+        find = _finder(storage, [*folders, *((STALE, n) for n in record_names(storage, STALE))])
+        for name in self.todo:
+            self._file.seek(self._offsets[name])
+            chunk: Chunk = pickle.load(self._file)
+            pairs = ((i, find(key)) for i, key in enumerate(chunk.keys))
+            yield replace(chunk, kept={i: record for i, record in pairs if record})
+
+
+@contextmanager
+def spooled(rows: Iterable[Row], settings: Settings, size: int | None) -> Iterator[Work]:
+    """Read all rows and store them as chunks; `size` and errors as in :func:`chunks`. Raise
+    CannotUse if the temporary file cannot be written."""
+    forget_files()
+    file = tempfile.SpooledTemporaryFile(_IN_MEMORY)  # noqa: SIM115
+    try:
+        with reported("write", temporary_folder(), "or set TMPDIR to another folder"):
+            work = Work(file, chunks(rows, size, settings.layout))
+        yield work
+    finally:
+        with suppress(OSError):  # on a full disk, the rest of the buffer cannot be written
+            file.close()
+
+
+def _finder(
+    storage: Storage, chunks_of_folders: list[tuple[str, str]]
+) -> Callable[[str], Record | None]:
+    """Return a function that finds the record of a drawn job by the job's key, in the records of
+    chunks, of which each has a folder and a name."""
+    hashes, numbers = array("q"), array("L")  # 16 bytes per record; a dict needs ten times as many
+    for number, (folder, name) in enumerate(chunks_of_folders):
+        for record in read_records(storage, name, folder):
+            if "error" not in record:
+                hashes.append(hash(record["key"]))
+                numbers.append(number)
+    order = np.argsort(np.asarray(hashes), kind="stable")
+    sorted_hashes, sorted_numbers = np.asarray(hashes)[order], np.asarray(numbers)[order]
+
+    @lru_cache(4)
+    def read(number: int) -> dict[str, Record]:
+        folder, name = chunks_of_folders[number]
+        return {record["key"]: record for record in read_records(storage, name, folder)}
+
+    def find(key: str) -> Record | None:
+        index = np.searchsorted(sorted_hashes, hash(key))
+        if index == len(order) or sorted_hashes[index] != hash(key):
+            return None
+        return read(sorted_numbers[index]).get(key)
+
+    return find
+
+
+@contextmanager
+def locked(output: str) -> Iterator[Storage]:
+    """Create and lock the output folder. An output URL is not locked. Raise InputError if another
+    command writes to the folder, or the folder cannot be written."""
+    import fcntl  # absent on Windows
+
+    storage = Storage(output)
+    with ExitStack() as stack:
+        if not storage.remote:
+            with storage.scratch():
+                Path(storage.root).mkdir(parents=True, exist_ok=True)
+                lock = stack.enter_context(Path(storage.root, ".lock").open("w"))
+            # The lock ends with this process, also if the process is killed.
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise InputError(
+                    f"another batch is being written to {storage.root}: wait for it, or give "
+                    "another folder"
+                ) from None
+            storage.sweep()
+            stack.enter_context(if_ended(storage.sweep, always=True))
+        yield storage
+
+
+def start(
+    work: Work, storage: Storage, settings: Settings, table: str, prune: bool, retry_failed: bool
+) -> None:
+    """Start a run: find the chunks to draw, with `retry_failed` also chunks with failed jobs, and
+    set records of changed chunks aside in STALE. Raise InputError if the table lacks jobs that an
+    earlier run has drawn, unless `prune` is set."""
+    if not prune:
+        _check_removed(work, storage, table)
+    run = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
+    about = {**run, "table": table, "jobs": len(work.ids)}
+    # A worker that outlives an earlier run now stops writing.
+    storage.put(ABOUT, json.dumps(about, indent=2).encode() + b"\n")
+    finished, begun = record_names(storage), record_names(storage, BEGUN)
+    work.todo = [
+        name
+        for name in work.sizes
+        if name not in finished or (retry_failed and read_head(storage, name)["failed"])
+    ]
+    stale = (finished | begun).difference(work.sizes)
+    # In this order: a run that is killed here leaves no table that disagrees with the records.
+    for name in TABLES if work.todo or stale else ():
+        storage.drop(name)
+    for name in stale & finished:
+        storage.move(f"{RECORDS}/{name}.jsonl", f"{STALE}/{name}.jsonl")
+    set_aside = record_names(storage, STALE)
+    for name in stale & begun:
+        if name in set_aside:  # the record in STALE has more data than the list in BEGUN
+            storage.drop(f"{BEGUN}/{name}.jsonl")
+        else:
+            storage.move(f"{BEGUN}/{name}.jsonl", f"{STALE}/{name}.jsonl")
+
+
+def _check_removed(work: Work, storage: Storage, table: str) -> None:
+    """Raise InputError if the table of jobs lacks jobs that an earlier run has drawn."""
+    finished = array("q")
+    for folder in (RECORDS, STALE):
+        for name in record_names(storage, folder).difference(work.sizes):
+            # A list from the folder BEGUN has empty keys: its jobs are not finished.
+            finished.extend(
+                hash(record["id"])
+                for record in read_records(storage, name, folder)
+                if record["key"] and "error" not in record
+            )
+    # With millions of ids, setdiff1d takes tens of MiB, which most batches do not need.
+    if finished and (count := len(np.setdiff1d(np.asarray(finished), np.asarray(work.ids)))):
+        raise InputError(
+            f"{table} lacks {count} of the finished jobs in {storage.root}: give another folder, "
+            "or --prune to delete their files"
+        )
+
+
+def status(output: str) -> dict[str, int]:
+    """Return the number of "jobs" of a batch, and how many of them are "done", "failed", "left".
+    Raise InputError if the output contains no batch."""
+    storage = Storage(output)
+    try:
+        jobs = int(json.loads(storage.get(ABOUT))["jobs"])
+        heads = [read_head(storage, name) for name in record_names(storage)]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{output} is not a batch: its {ABOUT} cannot be read ({reason(error)}); "
+            "give the output folder of facerender batch"
+        ) from None
+    done, failed = (sum(head[name] for head in heads) for name in ("done", "failed"))
+    return {"jobs": jobs, "done": done, "failed": failed, "left": jobs - done - failed}
+
+
+def finish(storage: Storage, table: str, transforms: bool) -> None:
+    """Write the missing tables of a finished batch, and remove files that no job uses. `table` is
+    the suffix of the table of drawn jobs; `transforms`, whether to write transforms.json."""
+    table_name = f"jobs.{table}"
+    if storage.has(table_name) and (storage.has("transforms.json") or not transforms):
+        return
+    with storage.temporary() as jobs, storage.temporary() as failed:
+        with storage.scratch(), jobs.open("w") as good, failed.open("w") as bad:
+            # Sorted: the workers finish chunks in any order, but the tables do not depend on it.
+            for name in sorted(record_names(storage)):
+                for record in read_records(storage, name):
+                    (bad if "error" in record else good).write(json.dumps(record) + "\n")
+        _drop_stale(storage, jobs)
+        for name in storage.names(BEGUN):  # a finished chunk's list remains if its run was killed
+            storage.drop(f"{BEGUN}/{name}")
+        if failed.stat().st_size:
+            storage.move(failed, FAILED)
+        if transforms:
+            storage.write("transforms.json", partial(_write_transforms, jobs))
+        if table == "jsonl":
+            storage.move(jobs, table_name)
+        else:
+            storage.write(table_name, partial(write_parquet, jobs))
+
+
+def failures(storage: Storage) -> Iterator[Record]:
+    """Yield the records of the failed jobs of a finished batch, from the first 16 MiB of FAILED."""
+    if storage.has(FAILED):
+        lines = storage.get(FAILED, 1 << 24).splitlines(keepends=True)
+        yield from (json.loads(line) for line in lines if line.endswith(b"\n"))
+
+
+def _drop_stale(storage: Storage, jobs: Path) -> None:
+    """Remove stale records, and each of their files that no current record lists."""
+    if not (stale := storage.names(STALE)):
+        return
+    named = array("q")  # hashes of paths: 8 bytes each
+    for record in json_lines(jobs):
+        named.extend(hash(about["path"]) for about in record["files"].values())
+    current = np.sort(np.asarray(named))
+    for name in stale:
+        for record in read_records(storage, name.removesuffix(".jsonl"), STALE):
+            for path in {about["path"] for about in record.get("files", {}).values()}:
+                index = np.searchsorted(current, hash(path))
+                if index == len(current) or current[index] != hash(path):
+                    storage.drop(path)
+                    if not storage.remote:
+                        with suppress(OSError):  # the folder has other files
+                            Path(storage.root, path).parent.rmdir()
+        storage.drop(f"{STALE}/{name}")
+
+
+def _write_transforms(jobs: Path, target: Path) -> None:
+    """Write all cameras to a file in the format of nerfstudio and instant-ngp."""
+    with target.open("w") as file:
+        file.write('{"camera_model": "OPENCV", "frames": [')
+        for number, record in enumerate(json_lines(jobs)):
+            name, about = next(iter(record["files"].items()))
+            # Readers cannot open a member of a tar: its name is the path after unpacking.
+            image = f"{record['id']}.{name}" if about["path"].endswith(".tar") else about["path"]
+            frame = json.dumps(transforms_frame(record["camera"], image))
+            file.write(f"{',' * (number > 0)}\n{frame}")
+        file.write("\n]}\n")

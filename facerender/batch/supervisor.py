@@ -2,7 +2,7 @@
 cluster), whose supervisors start worker processes; the progress is shown as bars or JSON lines.
 
 A supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
-the chunk. No OpenGL here: only the workers draw."""
+the chunk."""
 
 from __future__ import annotations
 
@@ -19,16 +19,9 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from concurrent.futures import (
-    FIRST_COMPLETED,
-    CancelledError,
-    Executor,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from concurrent import futures
+from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import dataclass, field
 from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -36,19 +29,9 @@ from typing import Any
 
 from tqdm import tqdm
 
-from facerender.batch.folder import Work, with_kept
-from facerender.batch.records import (
-    NO_MEMORY,
-    Chunk,
-    Message,
-    Order,
-    Record,
-    Settings,
-    Storage,
-    begin,
-    commit,
-    failure,
-)
+from facerender.batch import records
+from facerender.batch.jobs import Chunk, Record, Settings
+from facerender.batch.records import Message, Order, Storage, Work
 from facerender.errors import FacerenderError, InputError, clipped, warn
 from facerender.system.process import available, shows_bars
 from facerender.system.signals import hold, if_ended
@@ -64,49 +47,32 @@ def failed_line(record: Record) -> str:
 class Progress(ExitStack):
     """Progress bars on a terminal, names of failed jobs and ended workers, or JSON lines.
 
-    The bars show jobs done, rate, time left and failures, and the current step of each worker. If
-    a signal ends the process, the number of finished jobs is printed. `failed` and `deaths` are the
-    numbers of failed jobs, and of workers that ended or hung.
-
-    Parameters
-    ----------
     workers : number of local workers, which report every step; 0 for a cluster
     lines : whether to print a JSON line for each chunk, failed job and ended worker. Otherwise,
-        the first NAMED failed jobs and ended workers are messages
-    message : prints a message on standard error
+        `message` prints the first NAMED failed jobs and ended workers
     quiet : whether to hide the bars
     """
 
     def __init__(
-        self,
-        work: Work,
-        workers: int,
-        lines: bool,
-        message: Callable[[str], None],
-        quiet: bool = False,
+        self, work: Work, workers: int, lines: bool, message: Callable[[str], None], quiet: bool
     ) -> None:
         super().__init__()
-        terminal = shows_bars(quiet)
+        has_bars, jobs = shows_bars(quiet), len(work.ids)
+        self._done = jobs - work.left
+        timing = {"mininterval": 0.2, "smoothing": 0.05}
         self._bar = tqdm(
-            total=work.jobs,
-            initial=work.jobs - work.left,
-            unit=" jobs",
-            mininterval=0.2,
-            disable=not terminal,
-            smoothing=0.05,
+            total=jobs, initial=self._done, unit=" jobs", disable=not has_bars, **timing
         )
-        positions = range(1, 1 + workers) if terminal else ()
-        self._free = [
-            tqdm(bar_format="{desc}", position=position, leave=False) for position in positions
-        ]
+        positions = range(1, 1 + workers * has_bars)
+        self._free = [tqdm(bar_format="{desc}", position=i, leave=False) for i in positions]
         for bar in (self._bar, *self._free):
             self.callback(bar.close)
         self._of: dict[int, tqdm[Any]] = {}  # keyed by the supervisor's thread ID
         self._workers, self._lines = workers, lines
         self._message = None if lines else message
-        self.failed = self.deaths = 0
-        self._jobs, self._done = work.jobs, work.jobs - work.left
-        self.enter_context(if_ended(self._ended))
+        self.failed = self.deaths = 0  # numbers of failed jobs, and of workers that ended or hung
+        total = f"of {jobs} jobs are done; run the same command to resume"
+        self.enter_context(if_ended(lambda: f"{self._done} {total}"))
 
     def report(self, worker: str, step: str, job: str) -> None:
         """Show the step of a local worker. The thread of the worker's supervisor calls this."""
@@ -120,7 +86,9 @@ class Progress(ExitStack):
 
     def finished(self, outcome: Outcome) -> None:
         """Count the jobs of a finished chunk, and print its JSON lines."""
-        jobs = outcome.drawn + outcome.kept + len(outcome.failed)
+        drawn, kept = outcome.steps["done"], outcome.steps["kept"]
+        counts = {"drawn": drawn, "kept": kept, "failed": len(outcome.failed)}
+        jobs = sum(counts.values())
         self._done += jobs
         if not self._workers:
             self._bar.update(jobs)
@@ -136,28 +104,19 @@ class Progress(ExitStack):
                 self._message(failed_line(record))
         if self.failed:
             self._bar.set_postfix_str(f"{self.failed} failed", refresh=False)
-        self.say(
-            "chunk",
-            chunk=outcome.chunk,
-            drawn=outcome.drawn,
-            kept=outcome.kept,
-            failed=len(outcome.failed),
-            seconds=round(outcome.seconds, 3),
-            deaths=len(outcome.deaths),
-            worker=outcome.worker,
-        )
+        run = {"seconds": round(outcome.seconds, 3), "deaths": len(outcome.deaths)}
+        self.say("chunk", chunk=outcome.chunk, **counts, **run, worker=outcome.worker)
 
-    def say(self, event: str, **facts: Any) -> None:
+    def say(self, event: str, **values: Any) -> None:
         """Print a JSON line if `lines` is set."""
         if not self._lines:
             return
+        line = json.dumps({"time": round(time.time(), 3), "event": event, **values})
         try:
-            print(json.dumps({"time": round(time.time(), 3), "event": event, **facts}), flush=True)
-        except OSError:  # the reader has closed the pipe, or the disk is full
+            print(line, flush=True)
+        except OSError:
+            # The reader has closed the pipe, or the disk is full: the batch goes on.
             self._lines = False
-
-    def _ended(self) -> str:
-        return f"{self._done} of {self._jobs} jobs are done; run the same command to resume"
 
 
 Report = Callable[[str, str, str], None]  # Worker, step, job id.
@@ -173,8 +132,8 @@ class CannotDraw(FacerenderError, RuntimeError):
     """No job can be drawn or written by a worker."""
 
 
-@dataclass(frozen=True)
-class Death:
+@dataclass(eq=False)
+class Death(Exception):
     """The end of a worker: its host and process ID, how it ended, its last step and job."""
 
     worker: str
@@ -188,47 +147,34 @@ class Death:
         return f"worker {self.worker} {self.how} {job}"
 
 
-@dataclass(frozen=True)
+@dataclass
 class Outcome:
     """The result of a chunk."""
 
     chunk: int  # Number of the chunk.
-    drawn: int
-    kept: int  # Number of jobs whose files from an earlier run were reused.
-    failed: tuple[Record, ...]
-    seconds: float  # Time to draw, write and commit the chunk.
-    deaths: tuple[Death, ...]  # The workers that ended or hung.
-    renderer: str  # GL_RENDERER and GL_VERSION; "" if no job was drawn.
-    worker: str  # Host and process ID of the last worker.
+    # Number of jobs per final step of workers: "done", "kept" or "failed".
+    steps: Counter[str] = field(default_factory=Counter)
+    failed: tuple[Record, ...] = ()  # Also of jobs that ended their worker.
+    seconds: float = 0.0  # Time to draw, write and commit the chunk.
+    deaths: list[Death] = field(default_factory=list)  # The workers that ended or hung.
+    renderer: str = ""  # GL_RENDERER and GL_VERSION; "" if no job was drawn.
+    worker: str = ""  # Host and process ID of the last worker.
 
 
 def draw_chunk(settings: Settings, chunk: Chunk, report: Report | None = None) -> Outcome:
-    """Draw, write and commit a chunk with this thread's worker.
-
-    Raises
-    ------
-    CannotDraw : no job can be drawn, for example without OpenGL
-    CannotUse : a file cannot be written, for example on a full disk
-    """
+    """Draw, write and commit a chunk with this thread's worker. Raise CannotDraw if no job can be
+    drawn, for example without OpenGL, and CannotUse if a file cannot be written."""
     if not hasattr(_THREAD, "supervisor"):
         _THREAD.supervisor = Supervisor()
     outcome: Outcome = _THREAD.supervisor.run(settings, chunk, report or (lambda *_: None))
     return outcome
 
 
-class _WorkerEnded(Exception):
-    """A worker died or hung. Arguments: its host and process ID, and how it ended."""
-
-
 class Supervisor:
-    """Runs one worker process at a time, and starts a new one after a crash or a hang.
+    """Runs one worker process at a time, and starts a new one after a crash or a hang."""
 
-    Pebble 5.2.3 was tried instead of this class. Its pool uses multiprocessing, which cannot start
-    processes in Dask workers ("daemonic processes are not allowed to have children"). If an idle
-    worker is killed, the pool ends with "Unexpected error within the Pool", without the exit
-    status. A worker that hangs while it starts has no time limit. With 30 kills in 400 jobs, Pebble
-    wrote the same files as this class. Pebble would save about 25 lines.
-    """
+    # Pebble 5.2.3 would save 25 lines, but its pool cannot start processes in workers of Dask. It
+    # loses the exit status of a killed idle worker, and lets a worker hang while it starts.
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -249,52 +195,43 @@ class Supervisor:
 
     def run(self, settings: Settings, chunk: Chunk, report: Report) -> Outcome:
         """Draw, write and commit a chunk; see :func:`draw_chunk`."""
-        began = time.perf_counter()
+        began, outcome = time.perf_counter(), Outcome(chunk.number)
         with ExitStack() as stack:
             tar = None
             if settings.layout == "shards":
                 tar = stack.enter_context(Storage(settings.output).temporary())
-            begin(settings, chunk)
-            records, steps, deaths = self._draw(settings, chunk, tar, report)
-            commit(settings, chunk, tar, records)
-        return Outcome(
-            chunk.number,
-            drawn=steps["done"],
-            kept=steps["kept"],
-            failed=tuple(record for record in records if "error" in record),
-            seconds=time.perf_counter() - began,
-            deaths=tuple(deaths),
-            renderer=next(
-                (f"{r['GL_RENDERER']}; {r['GL_VERSION']}" for r in records if "GL_RENDERER" in r),
-                "",
-            ),
-            worker=self.worker,
-        )
+            records.begin(settings, chunk)
+            results = self._draw(settings, chunk, tar, report, outcome)
+            records.commit(settings, chunk, tar, results)
+        drivers = (f"{r['GL_RENDERER']}; {r['GL_VERSION']}" for r in results if "GL_RENDERER" in r)
+        outcome.failed = tuple(record for record in results if "error" in record)
+        outcome.seconds = time.perf_counter() - began
+        outcome.renderer, outcome.worker = next(drivers, ""), self.worker
+        return outcome
 
     def _draw(
-        self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report
-    ) -> tuple[list[Record], Counter[str], list[Death]]:
-        """Draw the jobs of a chunk, and return their records in order, the number of jobs per final
-        step ("done", "kept", "failed"), and the workers that ended or hung."""
-        records: dict[int, Record] = {}
-        attempts, steps, size = Counter[int](), Counter[str](), 0
-        deaths: list[Death] = []
+        self, settings: Settings, chunk: Chunk, tar: Path | None, report: Report, outcome: Outcome
+    ) -> list[Record]:
+        """Draw the jobs of a chunk, and return their records in order. Add steps and deaths to the
+        outcome."""
+        results: dict[int, Record] = {}
+        attempts, size = Counter[int](), 0
         while True:
-            positions = [position for position in range(len(chunk.rows)) if position not in records]
+            left = tuple(i for i in range(len(chunk.rows)) if i not in results)
             message = Message("starts")
             try:
                 # After a death, the last message must name the job that causes the next one.
-                order = Order(settings, chunk, tuple(positions), tar, size, ahead=not deaths)
+                order = Order(settings, chunk, left, tar, size, ahead=not outcome.deaths)
                 for message in self._answers(order):
                     if message.record is not None:
-                        records[message.position], size = message.record, message.size
-                        steps[message.step] += 1
+                        results[message.position], size = message.record, message.size
+                        outcome.steps[message.step] += 1
                         attempts[_NO_JOB] = 0
                     report(self.worker, message.step, _id(chunk, message))
-                return [records[position] for position in sorted(records)], steps, deaths
-            except _WorkerEnded as ended:
-                worker, how = ended.args
-                deaths.append(Death(worker, how, message.step, _id(chunk, message)))
+                return [results[position] for position in sorted(results)]
+            except Death as death:
+                outcome.deaths.append(death)
+                how = death.how
             job = message.position if message.step in ("loads", "draws") else _NO_JOB
             attempts[job] += 1
             if attempts[job] < settings.tries:
@@ -303,17 +240,21 @@ class Supervisor:
             if _MEMORY in how:
                 text += ": give fewer --workers, or make maps or images smaller"
             if job == _NO_JOB:
-                raise CannotDraw(f"{chunk}: {text}, before or after a job")
-            for position in _at_fault(chunk, message) - set(records):
-                records[position] = failure(chunk, position, "WorkerDied", text)
+                raise CannotDraw(f"chunk {chunk.number}: {text}, before or after a job")
+            # One of the jobs with the mesh that was being loaded, or the job that was being drawn.
+            mesh = chunk.rows[job].tables.get("mesh")
+            of_mesh = {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}
+            for position in (of_mesh if message.step == "loads" else {job}) - results.keys():
+                results[position] = records.failure(chunk, position, "WorkerDied", text)
                 report(self.worker, "failed", chunk.rows[position].id)
 
     def _answers(self, order: Order) -> Iterator[Message]:
-        """Send an order, and yield the worker's messages until the end of the chunk."""
+        """Send an order, and yield the worker's messages until the end of the chunk. Raise Death if
+        the worker ends or hangs."""
+        message = Message("starts")
         try:
             connection = self._started(order.settings.timeout)
             connection.send(order)
-            message = Message("starts")
             while message.step != "end":
                 if not connection.poll(max(order.settings.timeout, self._patience)):
                     raise TimeoutError
@@ -326,9 +267,9 @@ class Supervisor:
             how = f"sent no message for {order.settings.timeout:g} s"
         except (EOFError, ConnectionError):
             how = self._exit()
-        worker = self.worker
+        death = Death(self.worker, how, message.step, _id(order.chunk, message))
         self.stop()
-        raise _WorkerEnded(worker, how)
+        raise death
 
     @property
     def worker(self) -> str:
@@ -345,6 +286,7 @@ class Supervisor:
             limit = struct.pack("ll", math.ceil(timeout), 0)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
             ours.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+            # A worker that started now would outlive the signal that ends this process.
             hold()
             self._kills = _kills_for_memory()
             self._process = subprocess.Popen(
@@ -356,6 +298,7 @@ class Supervisor:
             )
             theirs.close()
             self._connection = Connection(ours.detach())
+            # On a busy machine, imports and the OpenGL driver take longer than a short timeout.
             self._patience = 60.0
         return self._connection
 
@@ -363,7 +306,7 @@ class Supervisor:
         """Wait for the worker to end, and return how it ended."""
         assert self._process is not None
         code = self._process.wait()
-        if code == NO_MEMORY:
+        if code == records.NO_MEMORY:
             return _MEMORY
         if code >= 0:
             return f"ended with exit status {code}"
@@ -378,8 +321,8 @@ class Supervisor:
 def _kills_for_memory() -> int:
     """Return how many processes the kernel has killed because memory was short; 0 if unknown."""
     with suppress(OSError, ValueError):
-        facts = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
-        return int(facts.get("oom_kill", 0))
+        counters = dict(line.split() for line in Path("/proc/vmstat").read_text().splitlines())
+        return int(counters.get("oom_kill", 0))
     return 0
 
 
@@ -388,18 +331,8 @@ def _id(chunk: Chunk, message: Message) -> str:
     return chunk.rows[message.position].id if message.position >= 0 else ""
 
 
-def _at_fault(chunk: Chunk, message: Message) -> set[int]:
-    """Return the indices of the jobs that may have ended the worker.
-
-    These are the job that was being drawn, or all jobs with the mesh that was being loaded.
-    """
-    if message.step != "loads":
-        return {message.position}
-    mesh = chunk.rows[message.position].tables.get("mesh")
-    return {i for i, row in enumerate(chunk.rows) if row.tables.get("mesh") == mesh}
-
-
 _WORKER_MIB = 700  # least memory per worker
+_ENDED = "the scheduler has ended: restart it, and run the same command again"
 _SECONDS = 30  # timeout of the connection to a scheduler, and of the wait for its first worker
 
 
@@ -407,7 +340,7 @@ _SECONDS = 30  # timeout of the connection to a scheduler, and of the wait for i
 class Engine:
     """An executor of chunks."""
 
-    executor: Executor
+    executor: futures.Executor
     slots: Callable[[], int]  # Returns the number of chunks that can be drawn at the same time.
     workers: int  # Number of supervisor threads in this process; 0 on a cluster.
 
@@ -415,7 +348,7 @@ class Engine:
 @contextmanager
 def local(workers: int) -> Iterator[Engine]:
     """Yield an engine of `workers` threads in this process, each with its own worker process."""
-    executor = ThreadPoolExecutor(workers)
+    executor = futures.ThreadPoolExecutor(workers)
     try:
         yield Engine(executor, lambda: workers, workers)
     finally:
@@ -432,7 +365,8 @@ def dask(address: str) -> Iterator[Engine]:
         raise InputError(
             f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
         ) from None
-    for name in [*logging.getLogger().manager.loggerDict]:  # this module reports Dask's errors
+    # This module reports Dask's errors.
+    for name in [*logging.getLogger().manager.loggerDict]:
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
@@ -444,9 +378,9 @@ def dask(address: str) -> Iterator[Engine]:
         try:
             return max(1, sum(map(int, client.nthreads().values())))
         except OSError:
-            raise scheduler_gone() from None
+            raise FacerenderError(_ENDED) from None
 
-    try:
+    with closing(client):
         try:
             client.wait_for_workers(1, timeout=_SECONDS)
         except TimeoutError:
@@ -456,36 +390,19 @@ def dask(address: str) -> Iterator[Engine]:
         # With pure=True, Dask would reuse the result of a chunk whose files have been deleted.
         executor = client.get_executor(pure=False, retries=2)
         yield Engine(executor, slots, 0)
-    finally:
-        client.close()
-
-
-def scheduler_gone() -> FacerenderError:
-    """Return the error for a scheduler that ended before the batch."""
-    return FacerenderError("the scheduler has ended: restart it, and run the same command again")
 
 
 def default_workers() -> tuple[int, str]:
-    """Return the default number of workers, and a text that gives the reason.
-
-    The default is one worker per core that this process may use, or fewer if memory is too small.
-    """
-    cores, memory = _cores(), available()
+    """Return the default number of workers, and a text that gives the reason: one worker per core
+    that this process may use, or fewer if memory is too small."""
+    cores, memory = len(os.sched_getaffinity(0)), available()
+    with suppress(OSError, ValueError):  # without a quota, "max" is no number
+        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
+        cores = max(1, round(min(cores, float(quota) / float(period))))
     fit = max(1, int(memory // _WORKER_MIB))
     if fit < cores:
         return fit, f"{memory:.0f} MiB of free memory, {_WORKER_MIB} MiB per worker"
     return cores, f"one per core ({cores} cores)"
-
-
-def _cores() -> int:
-    """Return the number of cores that CPU affinity and the cgroup quota allow this process."""
-    cores = float(len(os.sched_getaffinity(0)))
-    try:
-        quota, period = Path("/sys/fs/cgroup/cpu.max").read_text().split()
-        cores = min(cores, float(quota) / float(period))
-    except (OSError, ValueError):  # no quota
-        pass
-    return max(1, round(cores))
 
 
 _AHEAD = 2  # queued chunks per worker
@@ -493,17 +410,12 @@ _TRIES = 3  # attempts for a chunk whose supervisor was lost
 
 
 def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> int:
-    """Draw the remaining chunks, and return the number of drawn jobs.
-
-    Raises
-    ------
-    CannotDraw : nothing can be drawn or written
-    FacerenderError : the scheduler has ended, or a chunk was lost _TRIES times
-    """
-    drawn, renderers = 0, set[str]()
-    waiting = with_kept(work, Storage(settings.output))
+    """Draw the remaining chunks, and return the number of drawn jobs. Raise FacerenderError if the
+    scheduler has ended, or a chunk was lost _TRIES times; other errors as in :func:`draw_chunk`."""
+    drawn_count, renderers = 0, set[str]()
+    waiting = work.chunks(Storage(settings.output))
     report = progress.report if engine.workers else None
-    sent: dict[Future[Outcome], tuple[Chunk, int]] = {}
+    sent: dict[futures.Future[Outcome], tuple[Chunk, int]] = {}
 
     def send(chunk: Chunk, tries: int) -> None:
         sent[engine.executor.submit(draw_chunk, settings, chunk, report)] = chunk, tries
@@ -513,23 +425,24 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
         for chunk in islice(waiting, max(free, 0)):
             send(chunk, 1)
         if not sent:
-            return drawn
-        for future in wait(sent, return_when=FIRST_COMPLETED).done:
+            return drawn_count
+        for future in futures.wait(sent, return_when=futures.FIRST_COMPLETED).done:
             chunk, tries = sent.pop(future)
             try:
                 outcome = future.result()
             except FacerenderError:
                 raise
-            except CancelledError:
-                raise scheduler_gone() from None
+            except futures.CancelledError:
+                raise FacerenderError(_ENDED) from None
             except Exception as error:
                 if tries >= _TRIES:
                     raise FacerenderError(
-                        f"{chunk} was lost {_TRIES} times ({error!r}); run the same command again"
+                        f"chunk {chunk.number} was lost {_TRIES} times ({error!r}); "
+                        "run the same command again"
                     ) from error
                 send(chunk, tries + 1)
                 continue
-            drawn += outcome.drawn
+            drawn_count += outcome.steps["done"]
             if outcome.renderer and renderers and outcome.renderer not in renderers:
                 warn(
                     f"{outcome.worker} draws with {outcome.renderer}, others with "

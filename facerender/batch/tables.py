@@ -1,158 +1,386 @@
-"""Rows of a job table: generates them from common tables, a list of jobs, a grid and random values,
-and converts them to nested plain data (expands keys and shorthands, merges tables).
-
-``formats.py`` reads the files; ``jobs.py`` makes jobs from the rows."""
+"""Tables of jobs: reads the rows of a file (.jsonl, .csv, .parquet, .toml or .py) one at a time, as
+nested plain data, and generates rows from grids and random values. ``jobs.py`` makes jobs from the
+rows. This module also reads records as JSON lines, and writes them as Parquet."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
+import importlib
+import json
 import math
 import os
+import re
+import runpy
+import sys
+import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from decimal import Decimal, DecimalException
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from facerender.errors import InputError, clipped, shown
-from facerender.scene.camera import orbit_of
-from facerender.scene.environment import parse_environment
-from facerender.scene.light import Light, parse_light
-from facerender.scene.scene import Scene
+from facerender.errors import FacerenderError, InputError, clipped, quoted, reason
+from facerender.loading import MESH_PATHS
+from facerender.scene.camera import Camera
+from facerender.scene.environment import EnvironmentFile
+from facerender.scene.light import Light
+from facerender.scene.scene import default_lights
+from facerender.system.files import read_file, suffix_of, tables_of
+from facerender.values.fields import build, plain
+from facerender.values.tables import Table, has_numbers, merged
 
-Table = dict[str, Any]
+# The number of the line where a row ends (None for .parquet, .toml and .py), and a function that
+# returns the row as `nested` does. It raises InputError for this row only: further rows follow.
+Unparsed = tuple[int | None, Callable[[], Table]]
+
+# In bytes. A large file without line ends is thus refused before it fills the memory.
+_LONGEST_LINE = 2**20
+_NUMBER = re.compile(r"[+-]?([0-9]+|[0-9]+\.[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_WORDS = {"true": True, "false": False, "null": None}
+_TEXT = {  # Columns of a .csv file with text in each cell, even if the cell looks like a number.
+    *("id", "outputs", "scene", "mesh", "mesh.parts", "mesh.hide", "environment"),
+    *("environment.file", *(f"mesh.{name}" for name in MESH_PATHS)),
+}
+
+
+def read_rows(path: str | os.PathLike[str]) -> Iterator[Unparsed]:
+    """Yield the rows of a table; the suffix determines the format. Raise InputError if the file or
+    a part of it cannot be read."""
+    file = Path(path)
+    read = _FORMATS[suffix_of(file, (*_FORMATS,), "table", "a job table", sys.maxsize)]
+    try:
+        yield from read(file)
+    except OSError as error:
+        raise InputError(f"cannot read {file}: {reason(error)}; give a job table") from None
+
+
+def _lines(path: Path) -> Iterator[str]:
+    """Yield the lines of a text file in UTF-8, of at most _LONGEST_LINE bytes each."""
+    with path.open("rb") as file:
+        lines = iter(lambda: file.readline(_LONGEST_LINE + 1), b"")
+        for number, line in enumerate(lines, 1):
+            if len(line) > _LONGEST_LINE:
+                raise InputError(
+                    f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give one "
+                    "row per line"
+                )
+            try:
+                yield line.decode("utf-8-sig" if number == 1 else "utf-8")
+            except UnicodeDecodeError as error:
+                raise InputError(
+                    f"{path.name}, line {number} is not UTF-8 ({error.reason}): save the file as "
+                    "UTF-8"
+                ) from None
+
+
+def _jsonl(path: Path) -> Iterator[Unparsed]:
+    for number, line in enumerate(_lines(path), 1):
+        if line.strip():
+            yield number, partial(_json_row, line.strip())
+
+
+def _json_row(text: str) -> Table:
+    try:
+        row = _JSON.decode(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON: {_why(error)}; give one object per line") from None
+    return nested(row)
+
+
+def _why(error: Exception) -> str:
+    if isinstance(error, json.JSONDecodeError):
+        return f"{error.msg} at column {error.colno}"
+    return "nested too deep" if isinstance(error, RecursionError) else str(error)
+
+
+def _object(pairs: list[tuple[str, Any]]) -> Table:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError(f"key {quoted(repeated([key for key, _ in pairs]))} is given twice")
+    return table
+
+
+_JSON = json.JSONDecoder(object_pairs_hook=_object)
+
+
+def _csv(path: Path) -> Iterator[Unparsed]:
+    reader = csv.reader(_lines(path), strict=True)
+    rows = ([cell.strip() for cell in cells] for cells in reader)
+    try:
+        names = next(filter(any, rows), [])
+        _check_columns(path, names)
+        for cells in filter(any, rows):
+            yield reader.line_num, partial(_csv_row, names, cells)
+    except csv.Error as error:
+        raise InputError(f"{path.name}, line {reader.line_num} is not CSV: {error}") from None
+
+
+def _csv_row(names: list[str], cells: list[str]) -> Table:
+    if len(cells) != len(names):
+        raise InputError(
+            f"{len(cells)} cells in a table of {len(names)} columns: give one cell per column, and "
+            "quote cells with commas"
+        )
+    columns = zip(names, cells, strict=True)
+    try:
+        row = {name: _cell(name, cell) for name, cell in columns if cell}
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"a cell cannot be read: {_why(error)}") from None
+    return nested(row)
+
+
+def _check_columns(path: Path, names: list[str]) -> None:
+    if "" in names:
+        raise InputError(f"{path.name}: a column has no name; name it in the first line")
+    if (name := repeated(names)) is not None:
+        raise InputError(f"{path.name} has two columns {quoted(name)}: leave one out")
+
+
+def _cell(name: str, text: str) -> Any:
+    if name in _TEXT or name.startswith("meta."):
+        return text
+    if match := _NUMBER.fullmatch(text):
+        return int(text) if match[1].isdecimal() and not match[2] else float(text)
+    # Cells have lists, tables and quoted text as JSON; any other text needs no quotes.
+    if text[:1] in ("[", "{", '"'):
+        return _JSON.decode(text)
+    return _WORDS.get(text.lower(), text)
+
+
+def _parquet(path: Path) -> Iterator[Unparsed]:
+    try:
+        parquet = importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(
+            f"{path.name} needs the package pyarrow; pip install 'facerender[batch]'"
+        ) from None
+    with path.open("rb") as file:
+        try:
+            table = parquet.ParquetFile(file)
+            _check_columns(path, table.schema_arrow.names)
+            for batch in table.iter_batches(4096):
+                for row in batch.to_pylist():
+                    yield None, partial(nested, row)
+        except InputError:
+            raise
+        except (ValueError, ArithmeticError, NotImplementedError, OSError) as error:
+            raise InputError(
+                f"{path.name} is not a readable Parquet file: {clipped(str(error))}"
+            ) from None
+
+
+def read_toml(path: Path) -> Table:
+    """Read the tables of a TOML file; raise InputError if it cannot be read, or is not TOML."""
+    return tables_of(read_file(path, "tables as TOML", 2**26), path.name)
+
+
+def _toml(path: Path) -> Iterator[Unparsed]:
+    tables = read_toml(path)
+    try:
+        for row in grid_rows(tables) if tables else ():
+            yield None, partial(dict, row)
+    except (InputError, RecursionError) as error:
+        raise InputError(f"{path.name}: {_why(error)}") from None
+
+
+def _py(path: Path) -> Iterator[Unparsed]:
+    path.open("rb").close()  # Raises OSError here if the file cannot be read.
+    try:
+        jobs = runpy.run_path(str(path), run_name="facerender_jobs").get("jobs")
+        for row in jobs() if callable(jobs) else ():
+            yield None, partial(nested, row)
+    # The file is a program, which may raise any exception or call sys.exit.
+    except (Exception, SystemExit) as error:
+        raise InputError(_where(path, error)) from None
+    if not callable(jobs):
+        raise InputError(f"{path.name} has no function jobs(): write one that yields rows")
+
+
+def _where(path: Path, error: BaseException) -> str:
+    """Describe an error in a .py table in one line of text, with the line number in that file."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename == str(path)
+    ]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        lines.append(error.lineno)
+    line = f", line {lines[-1]}" if lines else ""
+    error_type = "" if isinstance(error, FacerenderError) else f"{type(error).__name__}: "
+    return f"{path.name}{line}: {error_type}{clipped(str(error))}"
+
+
+_FORMATS: dict[str, Callable[[Path], Iterator[Unparsed]]] = {
+    ".jsonl": _jsonl,
+    ".csv": _csv,
+    ".parquet": _parquet,
+    ".toml": _toml,
+    ".py": _py,
+}
+
+
+def json_lines(path: Path) -> Iterator[Any]:
+    """Yield the values of a file with one JSON value per line."""
+    with path.open() as file:
+        yield from map(json.loads, file)
+
+
+_ROWS = 4096  # rows in memory at a time
+_NUMBERS = {"int", "float"}
+
+
+def check_parquet() -> None:
+    """Raise InputError if pyarrow is missing."""
+    try:
+        import pyarrow  # noqa: F401
+    except ImportError:
+        raise InputError(
+            "jobs.parquet needs pyarrow: pip install 'facerender[batch]', or use --table jsonl"
+        ) from None
+
+
+def write_parquet(lines: Path, target: Path) -> None:
+    """Convert records, one JSON object per line, to Parquet. A column with lists of tables, or with
+    values of different types, contains JSON text; a column with integers and floats, floats."""
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    number, text = pa.float64(), pa.string()
+    types = {"bool": pa.bool_(), "int": pa.int64(), "float": number, "text": text, "json": text}
+    types |= {"vector": pa.list_(number), "matrix": pa.list_(pa.list_(number))}
+    columns = _columns(lines)
+    schema = pa.schema([(name, types[column_type]) for name, column_type in columns.items()])
+    rows = (dict(_flat(record, "")) for record in json_lines(lines))
+    with ParquetWriter(target, schema) as writer:
+        while block := [*islice(rows, _ROWS)]:
+            for row in block:
+                row |= {name: json.dumps(row[name]) for name in row if columns[name] == "json"}
+            values = [[row.get(name) for row in block] for name in columns]
+            writer.write_table(pa.table(values, schema))
+
+
+def _flat(table: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        elif value is not None:
+            yield f"{prefix}{key}", value
+
+
+def _columns(lines: Path) -> dict[str, str]:
+    """Return the type of the values in each column, keyed by the column's name."""
+    columns: dict[str, str] = {}
+    for record in json_lines(lines):
+        for name, value in _flat(record, ""):
+            value_type = _type_of(value)
+            column_type = columns.setdefault(name, value_type)
+            if column_type != value_type:
+                columns[name] = "float" if {column_type, value_type} == _NUMBERS else "json"
+    return columns
+
+
+def _type_of(value: Any) -> str:
+    if isinstance(value, list):
+        inner = {_type_of(element) for element in value}
+        if inner <= _NUMBERS:
+            return "vector"
+        return "matrix" if inner == {"vector"} else "json"
+    return {bool: "bool", int: "int", float: "float", str: "text"}.get(type(value), "json")
+
 
 _DEEPEST = 10  # levels of nested tables and lists
-_DIGITS = frozenset("0123456789")
 # Tables whose keys are names in a mesh file, which may contain dots, or only digits.
-_NAMED = ("parts", "pose.weights", "pose.joints", "before.weights", "before.joints")
-_MOST_BITS = 64  # largest size of a whole number, in bits
+NAMED = ("parts", "pose.weights", "pose.joints", "before.weights", "before.joints")
+# Records that a text stands for, keyed as in a job. The table of the text has only the fields that
+# the text names, so that a row may change single fields of the common tables.
+_PARSED: dict[str, Any] = {"camera": Camera, "environment": EnvironmentFile}
+_MAX_BITS = 64  # largest size of a whole number, in bits
 
 
 def nested(row: Any) -> Table:
-    """Return a row as nested tables of plain data.
+    """Return a row as nested tables of plain data; raise InputError if it has other data.
 
     Dotted keys become nested tables, and None values are removed. A mesh, an environment, a camera
     or a light that is given as text becomes a table. Numbered items (``lights.0.azimuth``) stay
     tables with numbers as keys until :func:`listed` converts them.
-
-    Raises
-    ------
-    InputError : the row is not a table, a key is given twice, a value is not plain data, or the
-        text of a light, a camera or an environment is invalid
     """
     if type(row) is not dict and not isinstance(row, Mapping):
-        raise InputError(f"row = {shown(row)}: give a table")
+        raise InputError(f"row = {quoted(row)}: give a table")
     values: Table = {}
     for key, value in row.items():
         if key == "mesh" and isinstance(value, str | os.PathLike):
             key = "mesh.path"
-        elif key == "environment" and isinstance(value, str):
-            parts = islice(asdict(parse_environment(value)).items(), value.count(",") + 1)
-            values |= {f"environment.{name}": part for name, part in parts}
-            continue
-        elif key == "camera" and isinstance(value, str):
-            values |= {f"camera.{name}": number for name, number in orbit_of(value).items()}
+        elif key in _PARSED and isinstance(value, str):
+            parts = _PARSED[key].parse(value)
+            values |= {f"{key}.{name}": part for name, part in parts.items()}
             continue
         if key in values:
             raise InputError(f"{key} is given twice: leave one out")
         values[key] = value
     tables: Table = _plain(values, "", 0)
-    if "lights" in tables:
-        tables["lights"] = _lights(tables["lights"])
+    lights = tables.get("lights")
+    if type(lights) is dict:
+        tables["lights"] = {key: _light(light) for key, light in lights.items()}
+    elif isinstance(lights, str | list):
+        several = [lights] if isinstance(lights, str) else lights
+        tables["lights"] = [_light(light) for light in several]
     return tables
 
 
-def placed(keys: Sequence[str], value: Any) -> Any:
+def repeated(names: Sequence[str]) -> str | None:
+    """Return the first name that occurs more than once, if any."""
+    counts = Counter(names)
+    return next((name for name in names if counts[name] > 1), None)
+
+
+def inside(keys: Sequence[str], value: Any) -> Any:
     """Return a value inside nested tables with the given keys, the outermost key first."""
     for key in reversed(keys):
         value = {key: value}
     return value
 
 
-def merged(base: Table, over: Table) -> Table:
-    """Return table `base`, updated with table `over`.
-
-    Nested tables are merged, numbered items replace items of a list, and other values are replaced.
-    The arguments are not modified; the result may share parts with the arguments.
-    Raise InputError if a numbered item is not in the list and does not extend it by one.
-    """
-    table = dict(base)
-    for key, value in over.items():
-        if type(value) is dict and key in table:
-            base_value = table[key]
-            if type(base_value) is list and _places(value):
-                items = {str(place): item for place, item in enumerate(base_value)}
-                value = listed(merged(items, value), key)
-            elif type(base_value) is dict:
-                value = merged(base_value, value)
-        table[key] = value
-    return table
-
-
 def with_default_lights(tables: Table) -> Table:
     """Return the tables of a row, with the default lights if the row changes single lights by
     numbered keys, such as ``lights.0.azimuth``. A light with a position replaces the default."""
     changes = tables.get("lights")
-    if not changes or type(changes) is not dict or not _places(changes):
+    if not changes or type(changes) is not dict or not has_numbers(changes):
         return tables
-    default = () if "environment" in tables else Scene.lights
     lights = {
-        str(place): _table_of(light)
-        for place, light in enumerate(default)
-        if not isinstance(change := changes.get(str(place)), dict) or "position" not in change
+        str(index): _light(light)
+        for index, light in enumerate(default_lights("environment" in tables))
+        if not isinstance(change := changes.get(str(index)), dict) or "position" not in change
     }
     return {**tables, "lights": merged(lights, changes)}
 
 
-def listed(value: Any, name: str) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists, unless the keys are names; raise
-    InputError if a number is missing among these keys."""
-    if type(value) is dict:
-        items = {
-            key: listed(item, f"{name}.{key}") if type(item) in (dict, list) else item
-            for key, item in value.items()
-        }
-        if not items or not _places(items) or name in _NAMED:
-            return items
-        for place in range(len(items)):
-            if str(place) not in items:
-                raise InputError(f"{name} lacks item {place}: count from 0 without gaps")
-        return [items[str(place)] for place in range(len(items))]
-    if type(value) is list and value and type(value[0]) is dict:
-        return [listed(item, f"{name}.{place}") for place, item in enumerate(value)]
-    return value
-
-
-def _places(table: Table) -> bool:
-    return all(map(_DIGITS.issuperset, table))
-
-
 def _plain(value: Any, name: str, depth: int) -> Any:
-    kind = type(value)
-    if kind is float and not math.isfinite(value):
+    value_type = type(value)
+    if value_type is float and not math.isfinite(value):
         raise InputError(f"{name} = {value!r}: give a finite number")
-    if kind is int and value.bit_length() > _MOST_BITS:
-        raise InputError(f"{name} = {shown(value)}: a whole number has at most {_MOST_BITS} bits")
-    if kind in (str, bool, float, int):
+    if value_type is int and value.bit_length() > _MAX_BITS:
+        raise InputError(f"{name} = {quoted(value)}: a whole number has at most {_MAX_BITS} bits")
+    if value_type in (str, bool, float, int):
         return value
     if depth > _DEEPEST:
         raise InputError(
             f"{name.split('.')[0]} has tables or lists {depth} deep: use at most {_DEEPEST} levels"
         )
-    if kind is dict or isinstance(value, Mapping):
+    if value_type is dict or isinstance(value, Mapping):
         return _plain_table(value, name, depth)
-    if kind is list or isinstance(value, list | tuple):
-        return [_plain(item, f"{name}.{place}", depth + 1) for place, item in enumerate(value)]
+    if value_type is list or isinstance(value, list | tuple):
+        return [_plain(item, f"{name}.{index}", depth + 1) for index, item in enumerate(value)]
     if isinstance(value, np.generic | np.ndarray):
         return _plain(value.tolist(), name, depth + 1)
     if isinstance(value, os.PathLike):
         return _plain(os.fspath(value), name, depth + 1)
     raise InputError(
-        f"{name} = {shown(value)}: give a number, true or false, text, a list or a table"
+        f"{name} = {quoted(value)}: give a number, true or false, text, a list or a table"
     )
 
 
@@ -160,18 +388,18 @@ def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
     table: Table = {}
     for key, entry in value.items():
         if not isinstance(key, str):
-            raise InputError(f"key {shown(key)}{f' of {name}' if name else ''}: give text")
+            raise InputError(f"key {quoted(key)}{f' of {name}' if name else ''}: give text")
         if entry is None:
             continue
         full = f"{name}.{key}" if name else key
         entry = _plain(entry, full, depth + 1)
         if entry == {} and value[key]:  # the value contained only None
             continue
-        if "." in key and name not in _NAMED:
+        if "." in key and name not in NAMED:
             key, *parts = key.split(".")
             if depth + len(parts) > _DEEPEST:
-                raise InputError(f"key {shown(full)} has too many dots: use at most {_DEEPEST}")
-            entry = placed(parts, entry)
+                raise InputError(f"key {quoted(full)} has too many dots: use at most {_DEEPEST}")
+            entry = inside(parts, entry)
         table[key] = _joined(table[key], entry, full) if key in table else entry
     return table
 
@@ -185,28 +413,18 @@ def _joined(base: Any, addition: Any, name: str) -> Any:
     return base
 
 
-def _lights(lights: Any) -> Any:
-    def table_of(light: Any) -> Any:
-        return _light(light) if isinstance(light, str) else light
-
-    if type(lights) is dict:
-        return {key: table_of(light) for key, light in lights.items()}
-    lights = [lights] if isinstance(lights, str) else lights
-    return [table_of(light) for light in lights] if type(lights) is list else lights
+def _light(light: Any) -> Any:
+    """Return the table of a light that is a record or a text; other values stay."""
+    return _light_of(light) if isinstance(light, str | Light) else light
 
 
 @lru_cache(1024)
-def _light(text: str) -> Table:
-    return _table_of(parse_light(text))
+def _light_of(light: Light | str) -> Table:
+    return _plain_table(plain(build(Light, light, "lights")), "", 0)
 
 
-def _table_of(light: Light) -> Table:
-    table: Table = _plain_table(asdict(light), "", 0)
-    return table
-
-
-MOST_ROWS = 10**9
-_MOST_AXES = 100
+MAX_ROWS = 10**9
+_MAX_AXES = 100
 _BLOCK = 1024  # rows whose random numbers are generated together
 
 
@@ -216,93 +434,81 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     The loops are, from the outermost: meshes of the grid, ``jobs``, other axes of the grid (the
     last axis changes fastest), ``random.count`` repetitions. If several tables define a key, random
     wins over grid, grid over jobs, and jobs over the common tables.
-
-    Raises
-    ------
-    InputError : an axis, range or distribution is invalid, or there are more than MOST_ROWS rows
     """
     tables = dict(tables)
     grid, chance = (tables.pop(key, {}) for key in ("grid", "random"))
     jobs = tables.pop("jobs", [{}])
     for name, table in (("grid", grid), ("random", chance)):
         if not isinstance(table, Mapping):
-            raise InputError(f"{name} = {shown(table)}: give a table, [{name}]")
+            raise InputError(f"{name} = {quoted(table)}: give a table, [{name}]")
     if not isinstance(jobs, list) or not jobs:
-        raise InputError(f"jobs = {shown(jobs)}: give tables, [[jobs]]")
+        raise InputError(f"jobs = {quoted(jobs)}: give tables, [[jobs]]")
     chance = dict(chance)
     count = _whole("random.count", chance.pop("count", 1), 1)
     seed = _whole("random.seed", chance.pop("seed", 0), 0)
-    random = [*_leaves(chance, "random", {*_DISTRIBUTIONS, "choice"})]
-    axes = [_axis(key, value) for key, value in _leaves(grid, "grid", {"from", "to", "step"})]
-    draws = {key: _random(key, how, seed) for key, how in random}
-    if len(axes) > _MOST_AXES or len(random) > _MOST_AXES:
-        raise InputError(f"more than {_MOST_AXES} axes in grid or random: give fewer")
-    keys = [*(axis.key for axis in axes), *(key for key, _ in random)]
+    random = [*_leaves(chance, {*_DISTRIBUTIONS, "choice"})]
+    axes = [(key, *_axis(key, value)) for key, value in _leaves(grid, {"from", "to", "step"})]
+    draws = [_random(key, how, seed) for key, how in random]
+    if len(axes) > _MAX_AXES or len(random) > _MAX_AXES:
+        raise InputError(f"more than {_MAX_AXES} axes in grid or random: give fewer")
+    keys = [*(key for key, _, _ in axes), *(key for key, _ in random)]
     keys = ["mesh.path" if key == "mesh" else key for key in keys]
-    if twice := [key for key in keys if keys.count(key) > 1]:
-        raise InputError(f"{twice[0]} is given twice in grid and random: remove one")
-    rows = len(jobs) * count * math.prod(axis.count for axis in axes)
-    if rows > MOST_ROWS:
+    if (twice := repeated(keys)) is not None:
+        raise InputError(f"{twice} is given twice in grid and random: remove one")
+    rows = len(jobs) * count * math.prod(length for _, length, _ in axes)
+    if rows > MAX_ROWS:
         raise InputError(
-            f"grid, jobs and random give {rows} rows together: give {MOST_ROWS} at most"
+            f"grid, jobs and random give {rows} rows together: give {MAX_ROWS} at most"
         )
     common = nested(tables)
     bases = [merged(common, nested(job)) for job in jobs]
-    meshes = [axis for axis in axes if axis.key.split(".")[0] == "mesh"]
-    other_axes = [axis for axis in axes if axis not in meshes]
+    meshes = [axis for key, *axis in axes if key.split(".")[0] == "mesh"]
+    other_axes = [axis for key, *axis in axes if key.split(".")[0] != "mesh"]
     number = 0
     for mesh in _spread({}, meshes):
         for base in bases:
             for row in _spread(merged(base, mesh), other_axes):
                 for _ in range(count):
-                    for draw in draws.values():
+                    for draw in draws:
                         row = merged(row, draw(number))
                     yield row
                     number += 1
 
 
-@dataclass(frozen=True, eq=False)
-class _Axis:
-    """An axis of the grid: `row` returns its value at an index as a row with only `key`."""
-
-    key: str
-    count: int
-    row: Callable[[int], Table]
-
-
-def _spread(base: Table, axes: Sequence[_Axis]) -> Iterator[Table]:
+def _spread(base: Table, axes: Sequence[Any]) -> Iterator[Table]:
+    """Yield a row for each combination of the values of axes, which :func:`_axis` returns."""
     if not axes:
         yield base
         return
-    for place in range(axes[0].count):
-        yield from _spread(merged(base, axes[0].row(place)), axes[1:])
+    length, row_at = axes[0]
+    for index in range(length):
+        yield from _spread(merged(base, row_at(index)), axes[1:])
 
 
-def _leaves(table: Mapping[str, Any], name: str, leaf_keys: set[str]) -> Iterator[tuple[str, Any]]:
-    """Yield the values of nested tables with their dotted keys; keys may contain dots themselves.
-
-    A table with one of `leaf_keys` counts as a value.
-    """
+def _leaves(table: Mapping[str, Any], leaf_keys: set[str]) -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested tables with their dotted keys. A table with one of `leaf_keys`
+    counts as a value."""
     for key, value in table.items():
         if isinstance(value, Mapping) and value and leaf_keys.isdisjoint(value):
-            for subkey, leaf in _leaves(value, f"{name}.{key}", leaf_keys):
-                yield f"{key}.{subkey}", leaf
+            yield from ((f"{key}.{subkey}", leaf) for subkey, leaf in _leaves(value, leaf_keys))
         else:
             yield key, value
 
 
-def _axis(key: str, value: Any) -> _Axis:
+def _axis(key: str, value: Any) -> tuple[int, Callable[[int], Table]]:
+    """Return the number of values of an axis, and a function that returns the value at an index as
+    a row with only `key`."""
     name = f"grid.{key}"
     if isinstance(value, list) and value:
         rows = [nested({key: element}) for element in value]
-        return _Axis(key, len(rows), rows.__getitem__)
+        return len(rows), rows.__getitem__
     if not isinstance(value, Mapping):
         raise InputError(
-            f"{name} = {shown(value)}: give a list of values, or {{ from, to, step }}, or "
+            f"{name} = {quoted(value)}: give a list of values, or {{ from, to, step }}, or "
             "{ from, to, count }"
         )
     if len(value) != 3 or set(value) - {"from", "to", "step", "count"}:
-        raise InputError(f"{name} = {shown(value)}: give from, to, and step or count")
+        raise InputError(f"{name} = {quoted(value)}: give from, to, and step or count")
     low, high = (_number(f"{name}.{end}", value.get(end)) for end in ("from", "to"))
     integral = all(type(parameter) is int for parameter in value.values())
     try:
@@ -320,29 +526,27 @@ def _axis(key: str, value: Any) -> _Axis:
             step = (end - start) / max(count - 1, 1)
             integral = integral and step == int(step)
     except DecimalException:
-        raise InputError(f"{name} = {shown(value)}: give numbers nearer to each other") from None
+        raise InputError(f"{name} = {quoted(value)}: give numbers nearer to each other") from None
     number = int if integral else float
     keys = key.split(".")
-
-    return _Axis(key, count, lambda index: placed(keys, number(start + index * step)))
+    return count, lambda index: inside(keys, number(start + index * step))
 
 
 def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     """Return a function that maps a row number to a random value, as a row with only `key`.
 
-    The value depends only on the seed, the key and the row number. It comes from Philox, a
-    counter-based generator: every block of four words depends only on a key and a counter. The
-    counter is the row number. The generator's key consists of the seed and a digest of the dotted
-    key, so that other keys of the table do not change these values.
+    The values come from Philox, a counter-based generator whose blocks of four words depend only on
+    its key and a counter. The counter is the row number. The generator's key is the seed and a
+    digest of the dotted key, so that other keys of the table do not change these values.
 
     References: Salmon et al. (2011), "Parallel random numbers: as easy as 1, 2, 3".
     """
     name, keys = f"random.{key}", key.split(".")
     if not isinstance(how, Mapping) or len(how) != 1 or not {*how} <= {*_DISTRIBUTIONS, "choice"}:
-        raise InputError(f"{name} = {shown(how)}: give one of {_REMEDY}")
-    ((kind, values),) = how.items()
+        raise InputError(f"{name} = {quoted(how)}: give one of {_REMEDY}")
+    ((distribution, values),) = how.items()
     if not isinstance(values, list) or not values:
-        raise InputError(f"{name}.{kind} = {shown(values)}: give one of {_REMEDY}")
+        raise InputError(f"{name}.{distribution} = {quoted(values)}: give one of {_REMEDY}")
     digest = hashlib.blake2b(key.encode(), digest_size=8).digest()
     stream = np.array([seed, int.from_bytes(digest, "little")], dtype=np.uint64)
 
@@ -351,28 +555,27 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
         generator = np.random.Philox(key=stream, counter=[block * _BLOCK, 0, 0, 0])
         return generator.random_raw(4 * _BLOCK).reshape(_BLOCK, 4)[:, :2].tolist()
 
-    if kind == "choice":
+    if distribution == "choice":
         rows = [nested({key: value}) for value in values]
         return lambda number: rows[words(number // _BLOCK)[number % _BLOCK][0] * len(rows) >> 64]
     if len(values) != 2:
-        raise InputError(f"{name}.{kind} = {shown(values)}: give two numbers")
-    parameters = [float(_number(f"{name}.{kind}", value)) for value in values]
-    low, high = parameters
-    if kind == "normal":
+        raise InputError(f"{name}.{distribution} = {quoted(values)}: give two numbers")
+    low, high = parameters = [float(_number(f"{name}.{distribution}", n)) for n in values]
+    if distribution == "normal":
         if high < 0.0:
             raise InputError(f"{name}.normal: sigma = {high:g} is negative; give at least 0")
         low, high = -math.inf, math.inf
     elif low > high:
-        raise InputError(f"{name}.{kind} = [{low:g}, {high:g}]: give the lower end first")
-    elif kind == "log_uniform" and low <= 0.0:
+        raise InputError(f"{name}.{distribution} = [{low:g}, {high:g}]: give the lower end first")
+    elif distribution == "log_uniform" and low <= 0.0:
         raise InputError(f"{name}.log_uniform = [{low:g}, {high:g}]: give ends above 0")
 
     def draw(number: int) -> Any:
         u_bits, v_bits = words(number // _BLOCK)[number % _BLOCK]
         u, v = (u_bits >> 11) * 2.0**-53, (v_bits >> 11) * 2.0**-53
-        value = _DISTRIBUTIONS[kind](parameters[0], parameters[1], u, v)
+        value = _DISTRIBUTIONS[distribution](parameters[0], parameters[1], u, v)
         # Rounded, because exp and log agree between machines only to 12 digits.
-        return placed(keys, min(max(float(f"{value:.12g}"), low), high))
+        return inside(keys, min(max(float(f"{value:.12g}"), low), high))
 
     return draw
 
@@ -398,10 +601,10 @@ _REMEDY = (
 def _number(name: str, value: Any) -> int | float:
     if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e300:
         return value
-    raise InputError(f"{name} = {shown(value)}: give a finite number")
+    raise InputError(f"{name} = {quoted(value)}: give a finite number")
 
 
 def _whole(name: str, value: Any, minimum: int) -> int:
     if type(value) is int and minimum <= value < 2**63:
         return value
-    raise InputError(f"{name} = {shown(value)}: give a whole number from {minimum} to 2^63 - 1")
+    raise InputError(f"{name} = {quoted(value)}: give a whole number from {minimum} to 2^63 - 1")

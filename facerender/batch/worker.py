@@ -1,8 +1,4 @@
-"""The worker process, which draws chunks; only this process uses OpenGL.
-
-The worker reports each step before the step starts: if the worker crashes or hangs, the supervisor
-can identify the responsible job.
-"""
+"""The worker process, which draws chunks; only this process uses OpenGL."""
 
 from __future__ import annotations
 
@@ -17,40 +13,28 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from functools import lru_cache
 from multiprocessing.connection import Connection
-from pathlib import Path
 
+from facerender.batch.jobs import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import Drawn, draw
-from facerender.batch.records import (
-    NO_MEMORY,
-    Chunk,
-    Message,
-    Order,
-    Record,
-    Writer,
-    code_version,
-    failure,
-    forget_files,
-    key_of,
-    meta_of,
-)
+from facerender.batch.records import NO_MEMORY, Message, Order, Writer, failure, inputs_of
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
 from facerender.errors import ContextError, FacerenderWarning, InputError, noting
-from facerender.loading.source import named_files
+from facerender.loading import MeshFile, load_mesh
 from facerender.mesh.mesh import Mesh
-from facerender.scene.file import ImageSettings
-from facerender.scene.job import MESH_PATHS, Job, MeshFile
+from facerender.scene.job import ImageSettings, Job
 from facerender.system.files import CannotUse
 from facerender.system.signals import heed_the_coordinator
 
-_MOST_PIXELS = 1 << 20  # Two jobs with larger images would take much memory at a time.
+_MAX_PIXELS = 1 << 20  # Two jobs with larger images would take much memory at a time.
 _MESHES = _RENDERERS = 2  # Maximum number of meshes, and of renderers, in a worker's caches.
 
 
 def main(handle: int) -> None:
     """Draw chunks from the socket with file descriptor `handle` until the socket is closed."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: die with the parent.
+        # PR_SET_PDEATHSIG: the worker dies with its parent, also if the parent is killed.
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)
     heed_the_coordinator()
     warnings.simplefilter("ignore", FacerenderWarning)  # The records contain the warnings.
     connection = Connection(handle)
@@ -64,7 +48,8 @@ def main(handle: int) -> None:
             text = "this worker needs the coordinator's version of facerender: install it"
             connection.send(Message("cannot", text=text))
             continue
-        if order.settings.run != run:  # Files may have changed since the last run.
+        # On a cluster, a worker outlives a run, and files may change before the next run.
+        if order.settings.run != run:
             forget_files()
             _mesh.cache_clear()
             run = order.settings.run
@@ -76,27 +61,29 @@ def main(handle: int) -> None:
 
 
 def _draw(order: Order) -> Iterator[Message]:
-    """Draw the jobs of an order. While a thread encodes and writes the files of a job, the next job
-    is drawn, unless images are large."""
+    """Draw the jobs of an order, and yield a message before each step starts."""
+    # If the worker crashes or hangs, its last message identifies the responsible job.
+    # While a thread encodes and writes the files of a job, the next job is drawn.
     chunk, settings = order.chunk, order.settings
     writer = Writer(settings, chunk, order.tar, order.size)
-    writing: Future[Message] | None = None
+    pending: list[Future[Message]] = []
+
+    def finished(max_pending: int = 0) -> Iterator[Message]:
+        while len(pending) > max_pending:
+            yield pending.pop(0).result()
+
     with ThreadPoolExecutor(1) as executor:
         for position in order.left:
             if position in chunk.kept:
-                if writing:  # the thread uses the writer
-                    yield writing.result()
-                    writing = None
+                yield from finished()  # the thread uses the writer
                 if (record := writer.keep(position)) is not None:
                     yield Message("kept", position, record, writer.size)
                     continue
             yield Message("loads", position)
-            row, facts = chunk.rows[position], Record()
+            row, description = chunk.rows[position], Record()
             result: Drawn | Exception
             try:
                 job = Job.from_dict(row.tables)
-                if job.environment:
-                    _check_file(job.environment.file)
                 mesh, warnings_of_mesh = _mesh(job.mesh)
                 if key_of(row) != chunk.keys[position]:
                     raise InputError(
@@ -107,46 +94,39 @@ def _draw(order: Order) -> Iterator[Message]:
                 with noting() as warned:
                     renderer = _renderer(job.image, settings.backend)
                     result = draw(job, mesh, renderer, row.outputs, row.exposure)
-                facts = {"job": row.tables, **meta_of(row), **result.facts}
+                description = {**inputs_of(row), **result.facts}
                 if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
-                    facts["warnings"] = texts
+                    description["warnings"] = texts
             except Exception as error:
                 if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                     yield Message("cannot", text=why)
                     return
                 result = error
-            future = executor.submit(_finished, chunk, writer, position, result, facts)
-            if writing:
-                yield writing.result()
-            writing = future
-            large = isinstance(result, Drawn) and math.prod(job.image.size) > _MOST_PIXELS
-            if large or not order.ahead:
-                yield writing.result()
-                writing = None
-        if writing:
-            yield writing.result()
+            pending.append(executor.submit(_finished, writer, position, result, description))
+            large = isinstance(result, Drawn) and math.prod(job.image.size) > _MAX_PIXELS
+            yield from finished(0 if large or not order.ahead else 1)
+        yield from finished()
     yield Message("end")
 
 
 def _finished(
-    chunk: Chunk, writer: Writer, position: int, result: Drawn | Exception, facts: Record
+    writer: Writer, position: int, result: Drawn | Exception, description: Record
 ) -> Message:
-    """Encode and write the files of a job, and return the message that it is done or failed.
-
-    result : the frames of the job, or the error of its drawing
-    """
+    """Encode and write the frames of a job, and return the message that it is done or failed."""
     try:
         if isinstance(result, Exception):
             raise result
-        return Message("done", position, writer.write(position, result.files, facts), writer.size)
+        record = writer.write(position, result.files, description)
+        return Message("done", position, record, writer.size)
     except CannotUse:
         raise
     except MemoryError:
-        os._exit(NO_MEMORY)  # A new process may have enough memory.
+        # A new process may have enough memory.
+        os._exit(NO_MEMORY)
     except Exception as error:
         notes = (str(error), *getattr(error, "__notes__", ()))
         text = " ".join(" ".join(notes).split()) or type(error).__name__
-        record = failure(chunk, position, type(error).__name__, text)
+        record = failure(writer.chunk, position, type(error).__name__, text)
         return Message("failed", position, record, writer.size)
 
 
@@ -167,25 +147,11 @@ def _no_context(backend: Backend) -> str:
 
 @lru_cache(_MESHES)
 def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
-    """Return a mesh, and the warnings emitted while it was loaded.
-
-    Only the worker's first mesh is written to the disk cache: all meshes of a large batch could
-    fill the disk.
-    """
-    paths = [getattr(file, name) for name in MESH_PATHS]
-    for path in filter(None, paths):
-        _check_file(path)
-    for path in named_files(file.source) if file.path else ():
-        _check_file(path)
+    """Return a mesh, and the warnings emitted while it was loaded."""
+    # Only the first mesh is written to the disk cache: all meshes of a batch could fill the disk.
     with noting() as warned:
-        mesh = file.load(True if _mesh.cache_info().misses == 1 else "read")
+        mesh = load_mesh(file, cache=True if _mesh.cache_info().misses == 1 else "read")
     return mesh, warned
-
-
-def _check_file(path: str | Path) -> None:
-    """Raise InputError for a pipe or a device, because reading it may never end."""
-    if os.path.exists(path) and not (os.path.isfile(path) or os.path.isdir(path)):
-        raise InputError(f"{path} is a pipe or a device: give a file")
 
 
 if __name__ == "__main__":

@@ -6,21 +6,21 @@ import argparse
 import json
 import os
 from collections.abc import Iterable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
 
-from facerender.commands.common import Options, check_outputs, progress_bar
-from facerender.commands.output import Help, print_message, print_result
+from facerender.commands.options import add_options, check_outputs, progress_bar
+from facerender.commands.output import print_message, print_result
 from facerender.comparison import pictures
-from facerender.comparison.result import LIMITS, Limits
+from facerender.comparison.result import LIMITS, NAMES
 from facerender.comparison.sources import CHECKS, HIGHEST
 from facerender.errors import InputError, clipped, warn
 from facerender.images.files import SUFFIXES, WRITTEN, read_image
 from facerender.system.files import write_text
-from facerender.values.ranges import Range
+from facerender.values.fields import Range
 
 # Suffixes of each output file, keyed by the option's name in Python.
 OUTPUTS = {
@@ -38,51 +38,42 @@ def add(compare: argparse.ArgumentParser) -> None:
         "between OpenGL drivers (rounding, noise, moved edges) are below the limits.\n"
         "Exit status: 0 the images are the same, 1 they differ, 2 no comparison is possible."
     )
-    kinds = f"{', '.join(SUFFIXES)}, or a folder of them"
-    needed = "required, except with --calibrate"
-    reference = Help(f"reference: {kinds}", needed)
-    compare.add_argument("a", metavar="A", nargs="?", help=reference)
-    image = Help("image to compare, or a folder of images with the same names", needed)
-    compare.add_argument("b", metavar="B", nargs="?", help=image)
-    limits = Options(compare, "limits, above which the images differ")
-    for name in (field.name for field in fields(Limits)):
+    changes: dict[str, Any] = {"a": {"nargs": "?"}, "b": {"nargs": "?"}}
+    lines = []
+    for name in NAMES:
         text, unit, _ = CHECKS[name]
         unit, _, remark = unit.partition(" ")
         if unit == "%":
             text, unit = f"{text}, as a fraction {remark}", ""
-        limits.add_number(f"{name} LIMIT", text, Range(0.0, HIGHEST, unit), default_of(name))
-    file = "pytest's ini file, or pyproject.toml: limits that no option sets"
-    limits.add_option("--limits FILE", file, "none")
-    limits.add_flag(
-        "same-driver",
-        "compare as images of one OpenGL driver; by default, only images whose metadata name one "
-        "driver, or that differ without noise, are of one driver",
-    )
-    limits.add_option("--mask FILE", "image that is not 0 at the pixels to compare", "all pixels")
-    calibration = Options(compare, "limits for another renderer")
-    note = (
-        "DIR has a folder for each run or driver. All images of the same name must pass. The "
-        "limits are printed as a section of pytest's ini file, each with the smallest change that "
-        "the limit still detects"
-    )
-    calibration.add_option("--calibrate DIR", "find limits, instead of comparing", "off", note)
-    output = "new .ini, .cfg or .toml file for the limits of --calibrate"
-    calibration.add_option("-o --output FILE", output, "none")
-    results = Options(compare, "results")
-    heatmap = "image of the FLIP metric at each pixel, for two images"
-    note = "Requires pip install 'facerender[measure]'"
-    results.add_option("--heatmap OUT.png", heatmap, "none", note)
-    sheet = "picture of A, B and their difference, for two images"
-    results.add_option("--sheet OUT.png", sheet, "none")
-    results.add_option("--report OUT.html", "HTML page with all images and metrics", "none")
-    results.add_flag("json", "print every metric as JSON")
-    results.add_verbose()
+        changes[name] = {"limits": Range(0.0, HIGHEST, unit)}
+        linear, encoded = (getattr(LIMITS[encoding], name) for encoding in ("linear", "srgb8"))
+        of_encoded = f"; 8-bit images: {encoded:g}/255" if encoded != linear else ""
+        lines.append(f"--{name} LIMIT | {text} | {linear:g}{of_encoded}")
+    add_options(compare, _OPTIONS.replace("LIMITS", "\n".join(lines)), **changes)
 
 
-def default_of(name: str) -> str:
-    """Return the default of a limit, for the help text."""
-    linear, encoded = (getattr(LIMITS[encoding], name) for encoding in ("linear", "srgb8"))
-    return f"{linear:g}" + (f"; 8-bit images: {encoded:g}/255" if encoded != linear else "")
+_OPTIONS = f"""
+A | reference: {", ".join(SUFFIXES)}, or a folder of them | required, except with --calibrate
+B | image to compare, or a folder of images with the same names | required, except with --calibrate
+[limits, above which the images differ]
+LIMITS
+--limits FILE | pytest's ini file, or pyproject.toml: limits that no option sets | none
+--same-driver | compare as images of one OpenGL driver; by default, only images whose metadata name
+    one driver, or that differ without noise, are of one driver
+--mask FILE | image that is not 0 at the pixels to compare | all pixels
+[limits for another renderer]
+--calibrate DIR | find limits, instead of comparing | off | DIR has a folder for each run or driver.
+    All images of the same name must pass. The limits are printed as a section of pytest's ini file,
+    each with the smallest change that the limit still detects
+-o --output FILE | new .ini, .cfg or .toml file for the limits of --calibrate | none
+[results]
+--heatmap OUT.png | image of the FLIP metric at each pixel, for two images | none
+    | Requires pip install 'facerender[measure]'
+--sheet OUT.png | picture of A, B and their difference, for two images | none
+--report OUT.html | HTML page with all images and metrics | none
+--json | print every metric as JSON
+quiet verbose
+"""
 
 
 def run(options: argparse.Namespace) -> int:
@@ -100,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         fault = "no images" if options.a is None else "only one image"
         raise InputError(f"{fault}: give A and B, or --calibrate with a folder")
     names = pairs_of(options.a, options.b)
-    limits: dict[str, Any] = {field.name: getattr(options, field.name) for field in fields(Limits)}
+    limits: dict[str, Any] = {name: getattr(options, name) for name in NAMES}
     limits["limits"] = read_limits(options.limits) if options.limits else {}
     limits["driver"] = "same" if options.same_driver else "auto"
     check_results(options, [path for _, *paths in names for path in paths], len(names))
@@ -139,17 +130,8 @@ def run(options: argparse.Namespace) -> int:
 
 
 def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pairs: int = 1) -> None:
-    """Check all output files before the images are compared.
-
-    Parameters
-    ----------
-    images : compared images, which no output may replace
-
-    Raises
-    ------
-    InputError : an output has another suffix than its format, shows one of several pairs, or cannot
-        be written, see :func:`check_outputs`; the package for --heatmap is missing
-    """
+    """Check all output files before the images are compared. No output may replace one of
+    ``images``."""
     for name, suffixes in OUTPUTS.items():
         path = getattr(options, name)
         if path and name in ("heatmap", "sheet") and pairs > 1:
@@ -170,8 +152,7 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import ENOUGH, calibration_of, runs_of, text_of
 
-    names = (field.name for field in fields(Limits))
-    for name in ("a", *names, "limits", "same_driver", "heatmap", "sheet", "report"):
+    for name in ("a", *NAMES, "limits", "same_driver", "heatmap", "sheet", "report"):
         if getattr(options, name) not in (None, False):
             option = name.upper() if name == "a" else f"--{name.replace('_', '-')}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")

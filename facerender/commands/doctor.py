@@ -9,7 +9,8 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from facerender import __version__
-from facerender.commands.output import Help, print_result
+from facerender.commands.options import add_options
+from facerender.commands.output import print_result
 from facerender.drawing.context import AUTO, probe
 from facerender.system import cache
 
@@ -34,14 +35,13 @@ def add(doctor: argparse.ArgumentParser) -> None:
         "each backend, the packages of each extra, and the cache. A remedy is printed for\n"
         "each missing part. Exit status: 0 an OpenGL backend works, 2 none works."
     )
-    text = Help("print everything except the cache as JSON", "off")
-    doctor.add_argument("--json", action="store_true", help=text)
+    add_options(doctor, "--json | print everything except the cache as JSON")
 
 
 def run(options: argparse.Namespace) -> int:
     findings = probe()
     usable = [finding["backend"] for finding in findings if not finding["error"]]
-    facts: dict[str, Any] = {
+    report: dict[str, Any] = {
         "facerender": __version__,
         "python": platform.python_version(),
         "system": _system(),
@@ -52,19 +52,19 @@ def run(options: argparse.Namespace) -> int:
         },
     }
     if options.json:
-        print_result(json.dumps(facts, indent=2))
+        print_result(json.dumps(report, indent=2))
     else:
-        print_result(*_lines(facts))
+        print_result(*_lines(report))
     return 0 if usable else 2
 
 
-def _lines(facts: dict[str, Any]) -> list[str]:
-    lines = [f"facerender {facts['facerender']}, Python {facts['python']}, {facts['system']}"]
+def _lines(report: dict[str, Any]) -> list[str]:
+    lines = [f"facerender {report['facerender']}, Python {report['python']}, {report['system']}"]
     driver = "{renderer}, OpenGL {version}, up to {samples} samples and {size} pixels per side"
-    for finding in facts["backends"]:
+    for finding in report["backends"]:
         lines.append(f"{finding['backend']:7} {finding['error'] or driver.format(**finding)}")
-    lines.append(f"auto    {facts['auto'] or 'no backend works'}")
-    for extra, versions in facts["packages"].items():
+    lines.append(f"auto    {report['auto'] or 'no backend works'}")
+    for extra, versions in report["packages"].items():
         words = [f"{name} {version or 'is missing'}" for name, version in versions.items()]
         remedy = "" if all(versions.values()) else f": pip install 'facerender[{extra}]'"
         lines.append(f"{extra or 'Python':7} {', '.join(words)}{remedy}")

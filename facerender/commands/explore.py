@@ -5,10 +5,18 @@ from __future__ import annotations
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from facerender.commands.common import Options, check_outputs, progress_bar
+from facerender.commands.options import (
+    NEW_FILE,
+    SCENE,
+    SCENE_CHANGES,
+    add_options,
+    check_outputs,
+    progress_bar,
+)
 from facerender.commands.output import print_result
-from facerender.commands.scene import add_scene, files_read, job_of, plays
+from facerender.commands.scene import files_read, job_of, plays
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page
 from facerender.system.files import write_text
@@ -24,27 +32,38 @@ def add(explore: argparse.ArgumentParser) -> None:
         "their difference and cost. The file opens from disk, needs no network, and uses\n"
         "the GPU of the reader's machine. A note on the page lists features that it omits."
     )
-    text = "output file, which ends in .html or .htm"
-    Options(explore).add_output("OUT.html", text, ".html")
-    terms, _ = add_scene(explore, shading="the shading B")
-    default, lobes = f"the scene file's, otherwise {_LOBE}", tuple(LOBES)
-    terms.add_option("--lobe", "lobe of shading B", default, choices=lobes)
-    text = "lobe of shading A, against which the page measures B"
-    terms.add_option("--against", text, "exact", choices=lobes, default="exact")
-    Options(explore).add_verbose()
+    changes: dict[str, Any] = {"lobe": {"choices": tuple(LOBES)}, "scene": {"text": _SCENE_FILE}}
+    against = {"choices": tuple(LOBES), "default": "exact"}
+    add_options(explore, _OPTIONS, **SCENE_CHANGES, **changes, against=against)
+
+
+_SCENE_FILE = "scene file with camera, lights, material and the shading B"
+_OPTIONS = f"""
+-o --output OUT.html | output file, which ends in .html or .htm
+    | the mesh's name with .html {NEW_FILE}
+mesh
+{SCENE}
+[reflectance]
+--lobe | lobe of shading B | the scene file's, otherwise {_LOBE}
+--against | lobe of shading A, against which the page measures B | exact
+[options]
+quiet verbose
+"""
 
 
 def run(options: argparse.Namespace) -> int:
-    output = options.output or f"{Path(options.mesh or 'head').stem}.html"
-    if Path(output).suffix.lower() not in (".html", ".htm"):
+    if options.output and Path(options.output).suffix.lower() not in (".html", ".htm"):
+        output = options.output
         raise InputError(f"{output}: the explorer is an HTML page; give a name that ends in .html")
     job, cameras = job_of(options, None)
+    output = options.output or f"{Path(job.mesh.path or 'head').stem}.html"
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
     check_outputs([output], files_read(options, job), None if options.output else output)
     b = job.shading.term
     if options.lobe is None and options.scene is None:
         b = replace(b, lobe=_LOBE)
+    # A constant m belongs to a plan of B; the exact lobe of A has no limits of m.
     a = replace(b, lobe=options.against, m=None, small_slope=None)
     with progress_bar(options) as progress:
         progress("mesh", 0.0)

@@ -11,19 +11,21 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from facerender.commands.common import Options
+from facerender.commands.options import add_options
 from facerender.commands.output import print_result
+from facerender.commands.scene import fields_set
 from facerender.errors import FacerenderWarning, number_of
+from facerender.loading import load_mesh
 from facerender.material import MAPS, PRESETS, Material
 from facerender.mesh import hints
 from facerender.mesh.geometry import clips_of
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
-from facerender.scene.job import MeshFile
+from facerender.scene.job import Job
 
 _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they are defaults
-_NAMES_PER_LINE, _MOST_NAMES = 8, 64  # names of shapes, joints and clips in the text output
-_MOST_ROWS = 20  # rows of the table of parts in the text output
+_NAMES_PER_LINE, _MAX_NAMES = 8, 64  # names of shapes, joints and clips in the text output
+_MAX_ROWS = 20  # rows of the table of parts in the text output
 _WIDTH = 120  # width of this table for more parts than rows, if the output is no terminal
 _HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
 
@@ -34,38 +36,37 @@ def add(info: argparse.ArgumentParser) -> None:
         "List the contents of a mesh file as facerender draws them: bounds, size, length\n"
         "of a unit, and for each part triangles, preset, maps and factors; shapes, joints\n"
         "and clips of its rig, repairs, omissions, and hints on probable mistakes. Equal\n"
-        f"parts of a mesh with more than {_MOST_ROWS} parts share a row. Factors and maps of\n"
+        f"parts of a mesh with more than {_MAX_ROWS} parts share a row. Factors and maps of\n"
         "other commands apply to the parts that are skin. The command draws nothing."
     )
-    options = Options(info)
-    options.add_mesh()
-    options.add_allow_outside()
-    options.add_as_is()
-    options.add_axes()
-    options.add_flag(
-        "json", "print all contents as JSON, also vertices, names of maps and every factor"
+    add_options(
+        info,
+        """mesh allow_outside as_is up rotate
+--json | print all contents as JSON, also vertices, names of maps and every factor""",
+        mesh={"nargs": "?"},
     )
 
 
 def run(options: argparse.Namespace) -> int:
-    names = ("allow_outside", "as_is", "up", "rotate")
-    file = MeshFile(options.mesh, **{name: getattr(options, name) for name in names})
+    file = Job(**fields_set(options, "mesh")).mesh
     source = file.source
     with warnings.catch_warnings(record=True) as caught:  # warnings are part of the result
         warnings.simplefilter("always", FacerenderWarning)
-        mesh = file.load()
-    facts = {
+        mesh = load_mesh(file)
+    description = {
         "file": str(source.path),
         "format": source.suffix[1:],
         "bytes": len(source.content),
-        **facts_of(mesh),
+        **description_of(mesh),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
     }
-    print_result(json.dumps(facts, indent=2) if options.json else "\n".join(_lines(facts)))
+    print_result(
+        json.dumps(description, indent=2) if options.json else "\n".join(_lines(description))
+    )
     return 0
 
 
-def facts_of(mesh: Mesh) -> dict[str, Any]:
+def description_of(mesh: Mesh) -> dict[str, Any]:
     """Return a mesh's description as plain data. Lengths are in mesh units, size_mm is in mm.
     Lengths of clips are in seconds, or None for a damaged clip."""
     size = mesh.bounds[1] - mesh.bounds[0]
@@ -122,96 +123,95 @@ def _part(number: int, part: Part, material: Material) -> dict[str, Any]:
     }
 
 
-def _lines(facts: dict[str, Any]) -> list[str]:
-    parts = facts["parts"]
-    low, high = (" ".join(f"{x:.5g}" for x in corner) for corner in facts["bounds"])
+def _lines(description: dict[str, Any]) -> list[str]:
+    parts = description["parts"]
+    low, high = (" ".join(f"{x:.5g}" for x in corner) for corner in description["bounds"])
     lines = [
-        f"{facts['file']}: {facts['format']}, {facts['bytes']} bytes",
-        f"{number_of(len(parts), 'part')}, {facts['vertices']} vertices, "
-        f"{facts['triangles']} triangles",
+        f"{description['file']}: {description['format']}, {description['bytes']} bytes",
+        f"{number_of(len(parts), 'part')}, {description['vertices']} vertices, "
+        f"{description['triangles']} triangles",
         f"from ({low}) to ({high})",
-        _size(facts),
-        _face(facts),
+        _size(description),
+        _face(description),
     ]
-    few = len(parts) <= _MOST_ROWS
-    lines += _table([_HEAD_OF_TABLE, *map(_row, parts)]) if few else _table_of_groups(parts)
-    lines += _list("shape", facts["shapes"])
-    lines += _list("joint", facts["joints"])
-    clips = facts["clips"].items()
+    lines += _table(parts)
+    lines += _list("shape", description["shapes"])
+    lines += _list("joint", description["joints"])
+    clips = description["clips"].items()
     lines += _list("clip", [f"{n} {'damaged' if t is None else f'{t:.4g} s'}" for n, t in clips])
-    lines += [f"warning: {warning}" for warning in facts["warnings"]]
-    return lines + [f"hint: {hint}" for hint in facts["hints"]]
+    lines += [f"warning: {warning}" for warning in description["warnings"]]
+    return lines + [f"hint: {hint}" for hint in description["hints"]]
 
 
-def _list(kind: str, names: Sequence[str]) -> list[str]:
+def _list(noun: str, names: Sequence[str]) -> list[str]:
     """Return indented lines of names below their number."""
     if not names:
         return []
-    starts = range(0, min(len(names), _MOST_NAMES), _NAMES_PER_LINE)
+    starts = range(0, min(len(names), _MAX_NAMES), _NAMES_PER_LINE)
     rows = ["  " + ", ".join(names[i : i + _NAMES_PER_LINE]) for i in starts]
-    excess = len(names) - _MOST_NAMES
+    excess = len(names) - _MAX_NAMES
     remainder = [f"  and {excess} more: --json lists all"] * (excess > 0)
-    return [f"{number_of(len(names), kind)}:", *rows, *remainder]
+    return [f"{number_of(len(names), noun)}:", *rows, *remainder]
 
 
-def _table_of_groups(parts: Sequence[dict[str, Any]]) -> list[str]:
-    """Return a table of many parts, in which parts with equal materials share a row. The rows with
+def _table(parts: Sequence[dict[str, Any]]) -> list[str]:
+    """Return a table of parts. Of many parts, parts with equal materials share a row. The rows with
     the most triangles are listed, then the names of the parts that share a row."""
-    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    many = len(parts) > _MAX_ROWS
+    groups: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for part in parts:
-        groups.setdefault(_row(part)[2:], []).append(part)
+        groups.setdefault(_cells(part) if many else (part["number"],), []).append(part)
     sizes = {key: sum(part["triangles"] for part in group) for key, group in groups.items()}
-    largest = sorted(groups, key=lambda key: -sizes[key])[:_MOST_ROWS]
+    largest = sorted(groups, key=lambda key: -sizes[key])[:_MAX_ROWS]
     rows: list[tuple[str, ...]] = [_HEAD_OF_TABLE]
-    shared = []
-    for key in (cells for cells in groups if cells in largest):
-        names = [_row(part)[0] for part in groups[key]]
-        title = names[0] if len(names) == 1 else f"{names[0]} (+{len(names) - 1})"
-        rows.append((title, str(sizes[key]), *key))
-        if len(names) > 1:
-            shared.append(f"{title}: {', '.join(names[1:])}")
-    lines = _table(rows)
-    if remainder := [part for key, group in groups.items() if key not in largest for part in group]:
-        triangles = sum(part["triangles"] for part in remainder)
-        lines.append(f"and {len(remainder)} more parts with {triangles} triangles")
+    shared, remainder = [], 0
+    for key, group in groups.items():
+        if key not in largest:
+            remainder += len(group)
+            continue
+        title, *others = (part["name"] or "(no name)" for part in group)
+        if others:
+            title = f"{title} (+{len(others)})"
+            shared.append(f"{title}: {', '.join(others)}")
+        rows.append((title, str(sizes[key]), *_cells(group[0])))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    form = "  ".join(f"{{:{'>' if n == 1 else '<'}{width}}}" for n, width in enumerate(widths))
+    lines = [form.format(*row).rstrip() for row in rows]
+    if not many:
+        return lines
+    if remainder:
+        triangles = sum(sizes.values()) - sum(sizes[key] for key in largest)
+        lines.append(f"and {remainder} more parts with {triangles} triangles")
     lines += shared
     width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH
     lines = [line if len(line) <= width else f"{line[: width - 4]} ..." for line in lines]
     return [*lines, "--json lists all parts with their materials"]
 
 
-def _row(part: dict[str, Any]) -> tuple[str, ...]:
-    """Return a part's row of the table: name, triangles, skin, preset, maps, factors."""
+def _cells(part: dict[str, Any]) -> tuple[str, ...]:
+    """Return a part's cells of the table: skin, preset, maps, factors."""
     maps = []
     for name, texture in part["maps"].items():
         width, height = texture["size"]
         size = f"{width}" if width == height else f"{width}x{height}"
         maps.append(f"{name.removesuffix('_map')} {size}")
     maps += ["vertex colours"] * ("colors" in part["has"]) + ["no uv"] * ("uv" not in part["has"])
-    name, count = part["name"] or "(no name)", str(part["triangles"])
     skin = "yes" if part["skin"] else "-"
-    return name, count, skin, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
+    return skin, part["preset"] or "-", ", ".join(maps) or "-", _factors(part) or "-"
 
 
-def _table(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Return aligned lines; the second column is right-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    form = "  ".join(f"{{:{'>' if n == 1 else '<'}{width}}}" for n, width in enumerate(widths))
-    return [form.format(*row).rstrip() for row in rows]
-
-
-def _size(facts: dict[str, Any]) -> str:
-    size = " x ".join(f"{extent:.4g}" for extent in facts["size"])
-    if facts["millimetres"] is not None:
-        size_mm = " x ".join(f"{extent:.4g}" for extent in facts["size_mm"])
-        return f"{size} units of {facts['millimetres']:g} mm: {size_mm} mm"
+def _size(description: dict[str, Any]) -> str:
+    size = " x ".join(f"{extent:.4g}" for extent in description["size"])
+    if description["millimetres"] is not None:
+        size_mm = " x ".join(f"{extent:.4g}" for extent in description["size_mm"])
+        return f"{size} units of {description['millimetres']:g} mm: {size_mm} mm"
     text = f"{size} units of unknown length"
-    return f"{text}: {facts['unit']}" if facts["unit"] else text
+    return f"{text}: {description['unit']}" if description["unit"] else text
 
 
-def _face(facts: dict[str, Any]) -> str:
+def _face(description: dict[str, Any]) -> str:
     """Return the face in words."""
-    if (face := facts["face"]) is None:
+    if (face := description["face"]) is None:
         return "no face found"
     left, right = (" ".join(f"{x:.4g}" for x in eye) for eye in face["eyes"])
     return (

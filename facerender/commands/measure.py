@@ -5,19 +5,21 @@ from __future__ import annotations
 import argparse
 import json
 
-from facerender.commands.common import (
-    Options,
+from facerender.commands.options import (
+    BACKEND,
+    PARTS,
+    SCENE_CHANGES,
+    add_options,
     check_outputs,
     mesh_files,
-    part_materials,
     progress_bar,
 )
 from facerender.commands.output import print_message, print_result
+from facerender.commands.scene import fields_set, part_materials
 from facerender.drawing.context import BACKENDS
 from facerender.material import Material
-from facerender.scene.job import Job, MeshFile
+from facerender.scene.job import Job
 from facerender.system.files import make_folder
-from facerender.values.ranges import range_of
 
 
 def add(measure: argparse.ArgumentParser) -> None:
@@ -27,32 +29,32 @@ def add(measure: argparse.ArgumentParser) -> None:
         "Print recommended variants and tables; write measure.json, images and an HTML page.\n"
         "FLIP requires pip install 'facerender[measure]'."
     )
-    options = Options(measure)
-    options.add_mesh()
-    folder = "out/measure"
-    text = "directory for measure.json, images and index.html"
-    options.add_option("-o --output DIR", text, folder, default=folder)
-    options.add_allow_outside()
-    options.add_parts()
     slope = "RMS slope of the skin's microfacets; other parts keep their own"
-    options.add_field(Material, "m M", slope, default=Material.m)
-    options.add_flag("quick", "use smaller images and fewer repeats")
-    options.add_backend(BACKENDS)
-    options.add_flag("json", "print measure.json instead of the table")
-    options.add_verbose()
+    slopes = {"text": slope, "unset": f"{Material.m:g}", "note": "", "default": Material.m}
+    changes = SCENE_CHANGES | {"m": slopes, "output": {"default": _FOLDER}}
+    add_options(measure, _OPTIONS, **changes, backend=BACKEND | {"choices": BACKENDS})
+
+
+_FOLDER = "out/measure"
+_OPTIONS = f"""mesh
+-o --output DIR | directory for measure.json, images and index.html | {_FOLDER}
+allow_outside {PARTS} m
+--quick | use smaller images and fewer repeats
+backend
+--json | print measure.json instead of the table
+quiet verbose
+"""
 
 
 def run(options: argparse.Namespace) -> int:
     from facerender.measure import report
     from facerender.measure.measurement import measure
 
-    range_of(Material, "m").check("m", options.m)
+    material = {"m": options.m}
+    job = Job(**fields_set(options, "mesh"), material=material, parts=part_materials(options))
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
-    names = ("allow_outside", "parts", "hide", "as_is", "double_sided", "up", "rotate")
-    file = MeshFile(options.mesh, **{name: getattr(options, name) for name in names})
-    job = Job(file, parts=part_materials(options))
-    check_outputs(files, mesh_files(file))
+    check_outputs(files, mesh_files(job.mesh))
     with progress_bar(options) as progress:
         mesh = job.scene().mesh
         measurement, triptychs = measure(
@@ -62,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         paths = report.write(measurement, triptychs, folder)
     text = report.table(measurement)
     print_result(json.dumps(report.content(measurement), indent=2) if options.json else text)
-    for line in measurement.not_measured:
+    for line in measurement["not_measured"]:
         print_message(f"facerender: not measured: {line}")
     if not options.quiet:
         print_message(*paths)

@@ -123,32 +123,32 @@ EXAMPLES = {
 
 
 class Help(str):
-    """Help text of an option: "text, values unit (default). Note."
+    """Help text of an option: "text, values (default). Note."
 
     Attributes
     ----------
     text : effect of the option
-    default : value if the option is not given, or "required"
-    values : range, such as "0 to 1"; "" for a file, a switch or a choice
-    unit : unit of the values
+    default : value without the option, or "required"
+    values : range, such as "0 to 20"; "" for a file, a switch or a choice
     note : further sentences, without the period at the end
+    unit : unit of the values
     """
 
     text: str
     default: str
     values: str
-    unit: str
     note: str
+    unit: str
 
     def __new__(
-        cls, text: str, default: str, values: str = "", unit: str = "", note: str = ""
+        cls, text: str, default: str, values: str = "", note: str = "", unit: str = ""
     ) -> Help:
-        limits = " ".join(filter(None, [values, unit]))
+        limits = f"{values} {unit}".strip()
         line = f"{', '.join(filter(None, [text, limits]))} ({default})"
         line += f". {note}." if note else ""
         help_text = super().__new__(cls, line.replace("%", "%%"))
-        help_text.text, help_text.default, help_text.note = text, default, note
-        help_text.values, help_text.unit = values, unit
+        help_text.text, help_text.default = text, default
+        help_text.values, help_text.note, help_text.unit = values, note, unit
         return help_text
 
 

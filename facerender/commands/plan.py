@@ -7,9 +7,18 @@ import json
 import math
 import time
 
-from facerender.commands.common import SIDE, Options, check_outputs, parse_sizes, progress_bar
+from facerender.commands.options import (
+    BACKEND,
+    BUDGET,
+    SCENE,
+    SCENE_CHANGES,
+    SIDE,
+    add_options,
+    check_outputs,
+    progress_bar,
+)
 from facerender.commands.output import print_message, print_result
-from facerender.commands.scene import add_scene, files_read, job_of, load
+from facerender.commands.scene import files_read, job_of, load, parse_sizes
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
@@ -26,41 +35,45 @@ def add(plan: argparse.ArgumentParser) -> None:
         "error at every pixel, or at a fraction of the pixels, stays within the budget. The\n"
         "reference has the exact lobe and all terms, maps, samples and triangles."
     )
-    search = Options(plan, "search")
-    search.add_budget("largest error of the planned frame", required=True, within="100%")
-    note = (
-        "frame is the time of whole frames, drawn in turns with the full frame. Other values "
-        "are the cost of a fragment, and leave samples and triangles unchanged: llvmpipe, navi21 "
-        "(RDNA2) and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws, otherwise "
-        "navi21; here is measured on this machine"
+    add_options(
+        plan,
+        _OPTIONS,
+        **SCENE_CHANGES | {"within": SCENE_CHANGES["within"] | {"default": "100%"}},
+        budget={"required": True, "limits": "at least 0"},
+        cost={"default": "frame"},
+        size={"unset": SIDE, "note": _SIZES, "metavar": "N|WxH|FROM..TO", "default": SIDE},
+        exposure={"text": "exposure of the display", "default": Output.exposure},
+        target={"choices": (*TARGETS, *LANGUAGES)},
+        backend=BACKEND | {"choices": BACKENDS},
     )
-    search.add_option("--cost COST", "cost to minimise", "frame", note, default="frame")
-    add_scene(plan)
-    images = Options(plan, "where the error is measured")
-    note = "FROM..TO, such as 512..1024, also measures sizes between both ends"
-    images.add_size(SIDE, note, "N|WxH|FROM..TO", default=SIDE)
-    images.add_samples()
-    images.add_field(Output, "exposure STOPS", "exposure of the display", default=Output.exposure)
-    images.add_backend(BACKENDS)
 
-    output = Options(plan, "results")
-    output.add_flag("json", "print the whole plan as JSON")
-    shader = "file for the shader with the chosen terms and constants"
-    output.add_option("--emit OUT.glsl", shader, "none")
-    text = "#version line or language of the shader of --emit"
-    default = "GLSL to include, without #version"
-    output.add_option("--target", text, default, choices=(*TARGETS, *LANGUAGES))
-    planned = "file for the planned scene, which render and batch read with --scene"
-    output.add_option("--save-scene OUT.toml", planned, "none")
-    worst = "image of the error at each pixel, for the camera with the largest error"
-    output.add_option("--error-map OUT.png", worst, "none")
-    output.add_verbose()
+
+_SIZES = "FROM..TO, such as 512..1024, also measures sizes between both ends"
+_OPTIONS = f"""mesh
+[search]
+--budget ERROR | largest error of the planned frame | required | {BUDGET}
+--cost COST | cost to minimise | frame | frame is the time of whole frames, drawn in turns with the
+    full frame. Other values are the cost of a fragment, and leave samples and triangles unchanged:
+    llvmpipe, navi21 (RDNA2) and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws,
+    otherwise navi21; here is measured on this machine
+{SCENE}
+[where the error is measured]
+size samples exposure backend
+[results]
+--json | print the whole plan as JSON
+--emit OUT.glsl | file for the shader with the chosen terms and constants | none
+--target | #version line or language of the shader of --emit | GLSL to include, without #version
+--save-scene OUT.toml | file for the planned scene, which render and batch read with --scene | none
+--error-map OUT.png | image of the error at each pixel, for the camera with the largest error | none
+quiet verbose
+"""
 
 
 def run(options: argparse.Namespace) -> int:
     from facerender.planning.budget import Budget
     from facerender.planning.plan import plan
 
+    # Bad values end the command before the mesh is loaded and the scene is drawn.
     Budget.parse(options.budget, options.exposure, options.within)
     sizes = parse_sizes(options.size)
     if options.target and not options.emit:
@@ -71,6 +84,7 @@ def run(options: argparse.Namespace) -> int:
     if options.error_map and not options.error_map.lower().endswith(".png"):
         raise InputError(f"--error-map {options.error_map}: give a .png")
     scene = load(job)
+    # A bar, --verbose and --quiet need no announcement.
     silent = not (options.quiet or options.verbose or shows_bars(quiet=False))
     with progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
         planned = plan(

@@ -7,8 +7,8 @@ import dataclasses
 import json
 import textwrap
 
-from facerender.commands.common import Options
-from facerender.commands.output import Help, print_result
+from facerender.commands.options import add_options
+from facerender.commands.output import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
 from facerender.terms import LOBES
 from facerender.terms.lobe import SLOPES
@@ -24,7 +24,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
     listing.description = (
         "List every public function of the GLSL library: signature, file, summary, unit\nand error."
     )
-    Options(listing).add_flag("json", "print all facts of the shader headers as JSON")
+    add_options(listing, "--json | print all facts of the shader headers as JSON")
     listing.set_defaults(command=run_list)
     path = actions.add_parser("path", help="print the include directory")
     path.description = (
@@ -39,20 +39,26 @@ def add(shaders: argparse.ArgumentParser) -> None:
         "remain. With --m, all coefficients of the lobe are constants. To combine several\n"
         "library files or to set macros such as FR_MASKING, flatten a file of your own."
     )
-    text = "library file, such as cook_torrance or lobe/exact; library function; or your GLSL file"
-    text += "; - reads standard input"
-    flatten.add_argument("name", metavar="NAME", help=Help(text, "required"))
-    versions = "330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal"
-    default = "GLSL to include, without #version"
-    options = Options(flatten)
-    text, targets = "#version line or language of the result", (*TARGETS, *LANGUAGES)
-    options.add_option("--target", text, default, versions, choices=targets)
-    text, default = "the only lobe in the result", "the lobe that FR_LOBE selects"
-    options.add_option("--lobe", text, default, choices=tuple(LOBES))
-    options.add_number("m M", "RMS slope of the microfacets, as a constant", SLOPES, "a parameter")
-    folder = "folder of files that your file includes; repeatable"
-    options.add_option("-I DIR", folder, "none", dest="paths", action="append", default=[])
+    add_options(
+        flatten,
+        _FLATTEN,
+        target={"choices": (*TARGETS, *LANGUAGES)},
+        lobe={"choices": tuple(LOBES)},
+        m={"limits": SLOPES},
+        I={"dest": "paths", "action": "append", "default": []},
+    )
     flatten.set_defaults(command=run_flatten)
+
+
+_FLATTEN = """
+NAME | library file, such as cook_torrance or lobe/exact; library function; or your GLSL file; -
+    reads standard input | required
+--target | #version line or language of the result | GLSL to include, without #version
+    | 330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal
+--lobe | the only lobe in the result | the lobe that FR_LOBE selects
+--m M | RMS slope of the microfacets, as a constant | a parameter
+-I DIR | folder of files that your file includes; repeatable | none
+"""
 
 
 def run_list(options: argparse.Namespace) -> int:

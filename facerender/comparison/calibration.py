@@ -16,7 +16,7 @@ import os
 from collections.abc import Callable, Mapping
 from configparser import Error as IniError
 from configparser import RawConfigParser
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -26,18 +26,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.comparison.compare import compare, pairs_of
-from facerender.comparison.result import LIMITS, Limits
+from facerender.comparison.result import LIMITS, NAMES, Limits
 from facerender.comparison.sources import CHECKS, HIGHEST, decimal
 from facerender.comparison.windows import FULL, filtered, shrunk
-from facerender.errors import InputError, check_range, reason, shown
+from facerender.errors import InputError, check_range, quoted, reason
 from facerender.images.files import read_image
 from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
 from facerender.system.files import read_file, tables_of
 from facerender.system.process import Progress, no_progress
 
-NAMES = tuple(limit.name for limit in fields(Limits))
 PREFIX = "facerender_"
-_MOST = 1 << 20  # largest size of a file of limits, in bytes
+_MAX = 1 << 20  # largest size of a file of limits, in bytes
 MARGIN = 1.5
 ENOUGH = 5  # fewer pairs hardly show how much images vary
 # Text for the change that each limit must detect; the amount follows it. The two pixels of "point"
@@ -102,9 +101,7 @@ class Calibration:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all values for JSON; ``sees`` contains None for a limit that detects no change."""
-        sees = {
-            name: amount if math.isfinite(amount) else None for name, amount in self.sees.items()
-        }
+        sees = {name: None if math.isinf(amount) else amount for name, amount in self.sees.items()}
         return {**asdict(self), "sees": sees, "blind": self.blind}
 
     def _why(self, name: str) -> str:
@@ -124,8 +121,7 @@ class Calibration:
 
 def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
     """Return name, reference and image of each pair of equally named images in any two subfolders,
-    each of which contains the images of one run or driver. Raise InputError if the folder cannot be
-    read, or does not contain two subfolders with images."""
+    each of which contains the images of one run or driver."""
     folder = Path(folder)
     try:
         folders = (path for path in folder.iterdir() if not path.name.startswith("."))
@@ -150,52 +146,41 @@ def calibration_of(
 ) -> list[Calibration]:
     """Return limits that all pairs of images pass, separately for linear and for 8-bit images.
 
-    Parameters
-    ----------
     pairs : name, path of the reference and path of the image of each pair
     mask : as in :func:`compare`
-
-    Raises
-    ------
-    InputError : a pair cannot be compared, or differs even with the widest limits
     """
-    by_encoding: dict[Encoding, _Pairs] = {}
-    for number, (name, *paths) in enumerate(pairs):
-        progress("limits", number / len(pairs))
-        a, b = map(read_image, paths)
+    paths: dict[Encoding, list[list[Path]]] = {}
+    least = dict(LIMITS)  # the smallest limits that all pairs pass
+    needed: dict[Encoding, dict[str, str]] = {}  # the pair that needs each limit
+    for index, (name, *pair) in enumerate(pairs):
+        progress("limits", index / len(pairs))
+        a, b = map(read_image, pair)
         result = compare(a, b, mask=mask, **_OPEN)
         if not result.same:
             raise InputError(f"{name} differs with any limits: {result}; remove this pair")
-        group = by_encoding.setdefault(result.encoding, _Pairs(LIMITS[result.encoding]))
-        group.paths.append(paths)
-        needed = _needed(a, b, group.least, mask)
-        group.least = replace(group.least, **needed)
-        group.needed |= dict.fromkeys(needed, name)
-    return [_calibration(*entry, mask, progress) for entry in by_encoding.items()]
-
-
-@dataclass
-class _Pairs:
-    """Pairs of one encoding."""
-
-    least: Limits  # the smallest limits that all pairs pass
-    needed: dict[str, str] = field(default_factory=dict)  # a pair that needs each limit
-    paths: list[list[Path]] = field(default_factory=list)
-
-
-def _calibration(
-    encoding: Encoding, pairs: _Pairs, mask: NDArray[Any] | None, progress: Progress
-) -> Calibration:
-    wide = {name: _rounded(MARGIN * getattr(pairs.least, name)) for name in pairs.needed}
-    limits = replace(pairs.least, **wide)
-    sees = {"coverage": limits.coverage, "shift": limits.shift}
-    altered = pairs.paths[:ALTERED]
-    for number, paths in enumerate(altered):
-        progress("smallest changes", number / len(altered))
-        a, b = map(read_image, paths)
-        for name, amount in _smallest_changes(a, b, limits, mask).items():
-            sees[name] = max(amount, sees.get(name, 0.0))
-    return Calibration(encoding, len(pairs.paths), limits, pairs.least, pairs.needed, sees)
+        encoding = result.encoding
+        paths.setdefault(encoding, []).append(pair)
+        wider = _needed(a, b, least[encoding], mask)
+        least[encoding] = replace(least[encoding], **wider)
+        needed.setdefault(encoding, {}).update(dict.fromkeys(wider, name))
+    calibrations = []
+    for encoding, of_encoding in paths.items():
+        limits = least[encoding]
+        for name in needed[encoding]:
+            limit = MARGIN * getattr(limits, name)
+            step = 10.0 ** (math.floor(math.log10(limit)) - 1)  # two significant digits, rounded up
+            wide = float(f"{math.ceil(limit / step - 1e-9) * step:.2g}")
+            limits = replace(limits, **{name: wide})
+        sees = {"coverage": limits.coverage, "shift": limits.shift}
+        altered = of_encoding[:ALTERED]
+        for index, pair in enumerate(altered):
+            progress("smallest changes", index / len(altered))
+            a, b = map(read_image, pair)
+            for name, amount in _smallest_changes(a, b, limits, mask).items():
+                sees[name] = max(amount, sees.get(name, 0.0))
+        values = len(of_encoding), limits, least[encoding], needed[encoding], sees
+        calibrations.append(Calibration(encoding, *values))
+    return calibrations
 
 
 def _needed(
@@ -237,15 +222,6 @@ def _least(holds: Callable[[float], bool], low: float, highest: float = HIGHEST)
     return high
 
 
-def _rounded(limit: float) -> float:
-    """Round a limit up to two significant digits."""
-    step = 10.0 ** (math.floor(math.log10(limit)) - 1)
-    return float(f"{math.ceil(limit / step - 1e-9) * step:.2g}")
-
-
-# --- changes -------------------------------------------------------------------------------------
-
-
 def _smallest_changes(
     a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
 ) -> dict[str, float]:
@@ -253,14 +229,15 @@ def _smallest_changes(
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
     radiance: NDArray[np.floating] = srgb_to_linear(color / 255.0) if encoded else color
-    lit, place = _flattest(a, mask)
+    lit, flattest = _flattest(a, mask)
     middle = np.median(radiance[lit], axis=0) if lit.any() else 0.0
     detail = radiance - 0.5 * (np.roll(radiance, 1, axis=1) + np.roll(radiance, -1, axis=1))
     noise = np.random.default_rng(1).standard_normal((*lit.shape, 1))
 
     def brighter(amount: float) -> NDArray[Any]:
         changed = color.astype(np.float32)
-        changed[place] = np.minimum(changed[place] + amount, 255.0 if encoded else HIGHEST)
+        pair = changed[flattest]
+        changed[flattest] = np.minimum(pair + amount, 255.0 if encoded else HIGHEST)
         return changed
 
     changes: dict[str, Callable[[float], NDArray[Any]]] = {
@@ -286,12 +263,10 @@ def _smallest_changes(
         signs = (1.0, -1.0) if name in ("block", "trend", "texture") else (1.0,)
         return all(fails(name, sign * amount) for sign in signs)
 
-    return {
-        name: _least(
-            partial(sees, name), *((1.0, 255.0) if encoded and name == "point" else (1e-4, 1.0))
-        )
-        for name in changes
-    }
+    ranges = dict.fromkeys(changes, (1e-4, 1.0))
+    if encoded:
+        ranges["point"] = 1.0, 255.0
+    return {name: _least(partial(sees, name), *ends) for name, ends in ranges.items()}
 
 
 def _flattest(
@@ -314,22 +289,23 @@ def _flattest(
     return lit, (slice(row, row + 1), slice(max(column - 1, 0), column + 1))
 
 
-# --- files of limits ------------------------------------------------------------------------------
-
-
 def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
-    """Return the limits of a .ini, .cfg or .toml file, keyed by the images' encoding. Raise
-    InputError if the file cannot be read, has an invalid limit, or has no limit."""
+    """Return the limits of a .ini, .cfg or .toml file, keyed by the images' encoding."""
     path = Path(path)
     data = _parsed(path)
     limits: dict[Encoding, dict[str, float]] = {}
     for encoding, section in _sections(path, data).items():
-        table = _within(data, section)
-        limits[encoding] = {
-            name: _number(f"{path}: {PREFIX}{name}", table[PREFIX + name])
-            for name in NAMES
-            if PREFIX + name in table
-        }
+        table, numbers = _within(data, section), {}
+        for name in NAMES:
+            if (key := PREFIX + name) not in table:
+                continue
+            try:
+                numbers[name] = float(table[key])
+            except (TypeError, ValueError, OverflowError):
+                text = f"{path}: {key} = {quoted(table[key])}: give a number"
+                raise InputError(text) from None
+            check_range(f"{path}: {key}", numbers[name], 0.0, HIGHEST)
+        limits[encoding] = numbers
     if not any(limits.values()):
         raise InputError(f"{path} has no limit: add one, such as {PREFIX}{NAMES[0]}")
     return limits
@@ -350,18 +326,9 @@ def text_of(
     return "\n".join(rows[1:])
 
 
-def _number(name: str, value: Any) -> float:
-    try:
-        limit = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} = {shown(value)}: give a number") from None
-    check_range(name, limit, 0.0, HIGHEST)
-    return limit
-
-
 def _parsed(path: Path) -> dict[str, Any]:
     """Return the sections of a file, keyed by name; sections of TOML are nested."""
-    content = read_file(path, "an ini file", _MOST)
+    content = read_file(path, "an ini file", _MAX)
     if path.suffix == ".toml":
         return tables_of(content, str(path))
     parser = RawConfigParser(inline_comment_prefixes=("#", ";"), default_section="")

@@ -21,19 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.comparison.windows import (
-    BLOCK,
-    FULL,
-    MARGIN,
-    Float,
-    Mask,
-    block_sums,
-    cell_sums,
-    common_squares,
-    detail_of,
-    filtered,
-    shrunk,
-)
+from facerender.comparison import windows
+from facerender.comparison.windows import FULL, Float, Mask, cell_sums
 from facerender.images.image import ImageData, srgb_to_linear
 
 LOBE = "another slope, lobe or weight"
@@ -86,7 +75,7 @@ class Change:
     def _of(cls, a: ImageData, b: ImageData, rows: slice) -> Change:
         (x, alpha_x), (y, alpha_y) = a.rows(rows), b.rows(rows)
         x, y = (color.clip(-_HIGHEST_HALF, _HIGHEST_HALF) for color in (x, y))
-        inside = shrunk((alpha_x >= FULL) & (alpha_y >= FULL), MARGIN)
+        inside = windows.shrunk((alpha_x >= FULL) & (alpha_y >= FULL), windows.MARGIN)
         halves = x.astype(np.float16).view(np.uint16) >> 3
         numbers = x.astype(np.uint8) if a.encoding == "srgb8" else halves
         of_value = y - x
@@ -99,8 +88,9 @@ class Change:
         x, y = (color.clip(np.float32(-_BRIGHT), np.float32(_BRIGHT)) for color in (x, y))
         level = np.maximum(np.maximum(np.abs(x), np.abs(y)).max(axis=2), np.float32(_DARK))
         change = (y - x) / level[..., None]
-        planes = [np.ascontiguousarray(plane * inside) for plane in np.moveaxis(change, 2, 0)]
-        interior = filtered(inside, np.minimum)
+        planes = (np.ascontiguousarray(plane * inside) for plane in np.moveaxis(change, 2, 0))
+        details = [windows.detail_of(plane) for plane in planes]
+        interior = windows.filtered(inside, np.minimum)
         means = [color.mean(axis=2) for color in (x, y)]
         blocks = [inside.astype(np.float32)]
         for image in (y - x, np.abs(x)):
@@ -113,8 +103,8 @@ class Change:
             np.square(change).sum(axis=2),
             inside,
             np.maximum(*(_range(mean) for mean in means)) > 0.0,
-            float(np.vdot(interior, common_squares([detail_of(plane) for plane in planes]))),
-            np.stack([block_sums(cell_sums(plane)) for plane in blocks], axis=-1),
+            float(np.vdot(interior, windows.common_squares(details))),
+            np.stack([windows.block_sums(cell_sums(plane)) for plane in blocks], axis=-1),
             np.stack([cell_sums(mean).astype(np.float64) / ones for mean in means], axis=-1),
             np.stack(values),
             1.0 / 6.0 if a.encoding == "srgb8" else 0.0,
@@ -128,7 +118,7 @@ class Change:
         means = sums / np.maximum(count, 1.0)[..., None]
         change, level = np.split(means, 2, axis=-1)
         bright = np.maximum(level, level + change).max(axis=-1)
-        judged = (count >= 0.5 * BLOCK**2) & change.any(axis=-1)
+        judged = (count >= 0.5 * windows.BLOCK**2) & change.any(axis=-1)
         if judged.any():
             judged &= bright > 0.1 * np.percentile(bright[judged], 90)
         scale = np.maximum(bright, _DARK)[judged, None]
@@ -285,7 +275,7 @@ def _cause_of_detail(change: Change, moved: bool) -> str:
 
 def _range(x: Float) -> NDArray[np.float32]:
     """Return the range of 3 x 3 pixels minus the range of an edge."""
-    high, low = (filtered(x, choose) for choose in (np.maximum, np.minimum))
+    high, low = windows.filtered(x, np.maximum), windows.filtered(x, np.minimum)
     return np.asarray(high - low - _STEEP * np.maximum(high, 0.5 * _DARK))
 
 

@@ -1,17 +1,9 @@
 """Compare two renders: detect broken highlights, and pass differences between drivers.
 
-Images are arrays, frames or files. This module does not use OpenGL. The checks detect:
-
-point      a few pixels that differ more than their neighbourhood explains
-block      a changed mean of 16 x 16 pixels
-trend      many blocks that changed slightly and in the same direction
-grain      more or less noise between adjacent pixels
-texture    more or less fine detail
-coverage   another mesh or camera
-shift      another camera
-
-A reason names the failed check, its metric and limit, and a likely cause. The first reason has the
-cause that explains most of the change. Changed metadata replace a cause."""
+Images are arrays, frames or files. This module does not use OpenGL. ``sources.CHECKS`` has the
+quantity that each check measures. A reason names the failed check, its metric and limit, and a
+likely cause. The first reason has the cause that explains most of the change. Changed metadata
+replace a cause."""
 
 from __future__ import annotations
 
@@ -26,25 +18,11 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.comparison import windows
 from facerender.comparison.causes import EXPOSURE, GEOMETRY, LIGHT, Change, cause_of, strips
-from facerender.comparison.result import BLUR, HOLES, LIMITS, Comparison, Limits
+from facerender.comparison.result import BLUR, HOLES, LIMITS, Comparison
 from facerender.comparison.sources import Comparable, as_image, both, decimal, size_of
-from facerender.comparison.windows import (
-    BLOCK,
-    EDGE,
-    FLOOR,
-    FULL,
-    ROUGH,
-    SCALES,
-    SLIVER,
-    SMOOTH,
-    BlockStatistics,
-    Mask,
-    Strip,
-    block_sums,
-    cell_sums,
-    filtered,
-)
+from facerender.comparison.windows import BLOCK, EDGE, SLIVER, BlockStatistics, Mask, Strip
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, number_of, warn
 from facerender.images.files import MAX_BYTES, REFUSED, SUFFIXES, save_png
@@ -53,8 +31,8 @@ from facerender.system.files import check_file
 
 # Largest unexplained difference of a single pixel, keyed by the class of the pixel.
 _LONE = {
-    "linear": {SMOOTH: 0.0, ROUGH: 0.1, EDGE: 0.5},
-    "srgb8": {SMOOTH: 0.0, ROUGH: 53.0, EDGE: 90.0},
+    "linear": {windows.SMOOTH: 0.0, windows.ROUGH: 0.1, EDGE: 0.5},
+    "srgb8": {windows.SMOOTH: 0.0, windows.ROUGH: 53.0, EDGE: 90.0},
 }
 _LONG = 60  # longer values of the metadata are cut to this number of characters
 _SEPARATOR = re.compile(r"[;,] (?![^(]*\))")  # of the entries of a metadata value, such as a mesh's
@@ -72,7 +50,6 @@ def reasons_of(
 
     over : (H, W), class of each pixel that exceeds the point limit: SLIVER, SMOOTH, ROUGH or EDGE,
         negative if the pixel is too dark. Other pixels: 0
-    images : reference and image, whose pixels and metadata reveal the cause
     """
     wrong = _wrong(result, over)
     block = _block_change(result, images)
@@ -100,13 +77,13 @@ def reasons_of(
     if wrong.any():
         examined = np.concatenate([wrong[strip] for strip in rows])
         dominant = change.share(examined) > 0.5
-        around = filtered(np.where(examined, np.float32(0.0), change.power), np.maximum)
+        around = windows.filtered(np.where(examined, np.float32(0.0), change.power), np.maximum)
         lonely = np.median((around <= 0.02 * change.power)[examined]) > 0.5  # hardly changed
         fault = _fault(result, over, wrong) if dominant or lonely else ""
         if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
         failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
-        wrong_sums = block_sums(cell_sums(wrong.astype(np.float32)))
+        wrong_sums = windows.block_sums(windows.cell_sums(wrong.astype(np.float32)))
         if fault and block and wrong_sums[failing].all():
             reasons = [f"{block}{because(fault)}{_estimate(result, fault)}"]
         text = f"{_pixels(result, over[wrong])}{because(fault or cause)}"
@@ -122,7 +99,7 @@ def reasons_of(
             f"coverage changed on {decimal(100.0 * result.coverage)} % of the pixels, limit "
             f"{decimal(100.0 * result.limits.coverage, 6)} %{because(cause)}"
         )
-    first = f"{reasons[0]}{result.facts}"
+    first = f"{reasons[0]}{result.metadata_text}"
     named = fault if fault and f"perhaps {fault}" in first else cause
     return (first, *reasons[1:]), "metadata" if result.scene_changed else named
 
@@ -131,41 +108,37 @@ def changes_of(one: Mapping[str, str], other: Mapping[str, str]) -> dict[str, tu
     """Return both texts of all metadata that changed, keyed by name and, for a value such as
     Light(azimuth=1), also by the name of the changed field."""
     changes = {}
-    for key in one:
-        if other.get(key, one[key]) == one[key]:
+    for key, text in one.items():
+        if other.get(key, text) == text:
             continue
-        fields = [dict(_FIELD.findall(text)) for text in (one[key], other[key])]
-        kinds = {text.partition("(")[0] for text in (one[key], other[key])}
-        if len(kinds) > 1 or not all(fields):
-            changes[key] = _apart(one[key], other[key]), _apart(other[key], one[key])
-            continue
-        for name in dict.fromkeys([*fields[0], *fields[1]]):
-            values = [_plain(image_fields.get(name, "default")) for image_fields in fields]
-            if values[0] != values[1]:
-                changes[f"{key} {name}"] = values[0], values[1]
+        a, b = (dict(_FIELD.findall(value)) for value in (text, other[key]))
+        if a and b and text.partition("(")[0] == other[key].partition("(")[0]:
+            for name in {**a, **b}:
+                # A colour of three equal numbers is stated as one number.
+                value_a, value_b = (
+                    re.sub(r"^\((\S+), \1, \1\)$", r"\1", values.get(name, "default"))[:_LONG]
+                    for values in (a, b)
+                )
+                if value_a != value_b:
+                    changes[f"{key} {name}"] = value_a, value_b
+        else:
+            entries = [_SEPARATOR.split(value) for value in (text, other[key])]
+            only_a, only_b = (
+                ", ".join(entry for entry in mine if entry not in theirs)[:_LONG] or "none"
+                for mine, theirs in (entries, entries[::-1])
+            )
+            changes[key] = only_a, only_b
     return changes
-
-
-def _plain(value: str) -> str:
-    """Return one number in place of three equal ones."""
-    return re.sub(r"^\((\S+), \1, \1\)$", r"\1", value)[:_LONG]
-
-
-def _apart(value: str, counterpart: str) -> str:
-    """Return the beginning of a value, without the entries that another value has too."""
-    entries = _SEPARATOR.split(counterpart)
-    text = ", ".join(entry for entry in _SEPARATOR.split(value) if entry not in entries)
-    return text[:_LONG] or "none"
 
 
 def _wrong(result: Comparison, over: NDArray[np.int8]) -> Mask:
     """Return a mask of the pixels that fail: clearly different pixels, or too many slivers. A
     single clearly different pixel fails only if its difference exceeds _LONE."""
-    place = np.abs(over)
-    lone = result.points and abs(result.point) > _LONE[result.encoding][int(place.max())]
+    classes = np.abs(over)
+    lone = result.points and abs(result.point) > _LONE[result.encoding][int(classes.max())]
     if result.points > 1 or lone:
-        return place > SLIVER
-    return (place > 0) & (result.slight > result.sliver_limit)
+        return classes > SLIVER
+    return (classes > 0) & (result.slight > result.sliver_limit)
 
 
 def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
@@ -208,14 +181,12 @@ def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> flo
     fraction of the mean, or 8-bit levels."""
     x, y = result.block_at
     parts = [image.rows(slice(y, y + BLOCK)) for image in images]
-    full = np.minimum(*(alpha[:, x : x + BLOCK] for _, alpha in parts)) >= FULL
+    full = np.minimum(*(alpha[:, x : x + BLOCK] for _, alpha in parts)) >= windows.FULL
     mean_a, mean_b = (
         color[:, x : x + BLOCK][full].mean(axis=0, dtype=np.float64) for color, _ in parts
     )
-    change = mean_b - mean_a
-    if result.encoding == "linear":
-        change /= np.maximum(np.abs(mean_a), FLOOR)
-    return float(max(change, key=abs))
+    scale = np.maximum(np.abs(mean_a), windows.FLOOR) if result.encoding == "linear" else 1.0
+    return float(max((mean_b - mean_a) / scale, key=abs))
 
 
 def _subtle_change(result: Comparison) -> str:
@@ -318,8 +289,8 @@ def compare(
     strip = Strip.of_all(a, b, counts, limits.point)
     statistics = BlockStatistics(
         sums=strip.sums,
-        scale=SCALES[a.encoding],
-        foreign=_foreign(driver, (a, b)),
+        scale=windows.SCALES[a.encoding],
+        foreign=_foreign(driver, a.metadata, b.metadata),
         moved=limits.shift,
         allowed=max(a.noise, b.noise) if a.noise != b.noise else 0.0,
         looser=_LOOSER * max(limits.block - LIMITS[a.encoding].block, 0.0),
@@ -327,13 +298,32 @@ def compare(
     if driver == "auto" and statistics.foreign:
         same_edges = not (strip.over.any() or strip.faded)
         statistics = replace(statistics, foreign=not (same_edges and statistics.quiet))
-    metadata = changes_of(a.metadata, b.metadata)
-    result = replace(_result(a, counts, limits, strip, statistics), metadata=metadata)
-    displayed = tuple(
-        source if isinstance(source, Frame) else image
-        for source, image in ((reference, a), (image, b))
+    height, width = counts.shape
+    blocks = np.nan_to_num(statistics.channels)
+    down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
+    of_pixels = ("point", "point_at", "holes", "largest", "largest_at")
+    of_blocks = ("foreign", "trend", "z_score", "grain", "texture", "gain", "shift")
+    result = Comparison(
+        reasons=(),
+        encoding=a.encoding,
+        size=(width, height),
+        limits=limits,
+        points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
+        slight=int(np.count_nonzero(strip.over)),
+        block=float(blocks[down, across]),
+        block_at=(int(across) * BLOCK, int(down) * BLOCK),
+        blocks=int((np.abs(blocks) > limits.block).sum()),
+        blocks_judged=int(statistics.judged.sum()),
+        coverage=strip.faded / (width * height),
+        mean=strip.total / int(counts.sum()),
+        metadata=changes_of(a.metadata, b.metadata),
+        **{name: getattr(strip, name) for name in of_pixels},
+        **{name: getattr(statistics, name) for name in of_blocks},
     )
     reasons, cause = reasons_of(result, strip.over, statistics, (a, b))
+    # Notebooks display a frame of a term with its own colours.
+    sources = ((reference, a), (image, b))
+    displayed = tuple(frame if isinstance(frame, Frame) else data for frame, data in sources)
     return replace(result, reasons=reasons, cause=cause, images=displayed)
 
 
@@ -348,9 +338,7 @@ class Pair:
     error: str = ""
 
     def save_heat_map(self, path: str | os.PathLike[str]) -> None:
-        """Write the FLIP heat map of the pair as PNG. Raise InputError if flip-evaluator is
-        missing, an image could not be read, the sizes differ or exceed MAX_PIXELS, or the file
-        cannot be written."""
+        """Write the FLIP heat map of the pair as PNG."""
         from facerender.comparison.pictures import MAX_PIXELS, displayed, heat_map
 
         a, b = self.reference, self.image
@@ -406,8 +394,7 @@ class Pair:
 
 
 def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
-    """Return name, reference and image of two files, or of each image name in two folders. Raise
-    InputError if one path is a file and the other a folder, or if the folders contain no image."""
+    """Return name, reference and image of two files, or of each image name in two folders."""
     a, b = Path(a), Path(b)
     if os.path.isdir(a) != os.path.isdir(b):
         check_file(b if os.path.isdir(a) else a, "an image file", MAX_BYTES)
@@ -425,33 +412,6 @@ def pairs_of(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> list[tuple
     return [(name, a / name, b / name) for name in sorted(names)]
 
 
-def _result(
-    image: ImageData, counts: Mask, limits: Limits, strip: Strip, stats: BlockStatistics
-) -> Comparison:
-    """Return all metrics, without reasons; ``counts`` is the mask of the compared pixels."""
-    height, width = counts.shape
-    blocks = np.nan_to_num(stats.channels)
-    down, across = np.unravel_index(np.abs(blocks).argmax(), blocks.shape)
-    of_pixels = ("point", "point_at", "holes", "largest", "largest_at")
-    of_blocks = ("foreign", "trend", "z_score", "grain", "texture", "gain", "shift")
-    return Comparison(
-        reasons=(),
-        encoding=image.encoding,
-        size=(width, height),
-        limits=limits,
-        points=int(np.count_nonzero(np.abs(strip.over) > SLIVER)),
-        slight=int(np.count_nonzero(strip.over)),
-        block=float(blocks[down, across]),
-        block_at=(int(across) * BLOCK, int(down) * BLOCK),
-        blocks=int((np.abs(blocks) > limits.block).sum()),
-        blocks_judged=int(stats.judged.sum()),
-        coverage=strip.faded / (width * height),
-        mean=strip.total / int(counts.sum()),
-        **{name: getattr(strip, name) for name in of_pixels},
-        **{name: getattr(stats, name) for name in of_blocks},
-    )
-
-
 def _counting(mask: NDArray[Any] | None, image: ImageData) -> Mask:
     """Return a mask of the pixels that count, after checking it against the image."""
     shape = image.pixels.shape[:2]
@@ -464,13 +424,11 @@ def _counting(mask: NDArray[Any] | None, image: ImageData) -> Mask:
     return counts
 
 
-def _foreign(driver: Driver, images: tuple[ImageData, ImageData]) -> bool:
-    """Return whether the images may differ as images of different drivers do. Drivers filter 8-bit
-    textures differently; images without such textures differ less."""
+def _foreign(driver: Driver, a: Mapping[str, str], b: Mapping[str, str]) -> bool:
+    """Return whether images with these metadata may differ as images of different drivers do."""
     if driver != "auto":
         return driver == "other"
-    driver_a, driver_b = (
-        [image.metadata.get(name) for name in ("GL_RENDERER", "GL_VERSION")] for image in images
-    )
-    named = driver_a == driver_b and driver_a[0] is not None
-    return not named and any(image.metadata.get("textures") != "float" for image in images)
+    if "GL_RENDERER" in a and all(a.get(k) == b.get(k) for k in ("GL_RENDERER", "GL_VERSION")):
+        return False
+    # Drivers filter 8-bit textures differently; images without such textures differ less.
+    return any(metadata.get("textures") != "float" for metadata in (a, b))

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from facerender.comparison.sources import Comparable, as_image, both, decimal
 from facerender.drawing.frame import Frame
-from facerender.errors import InputError, check_range, shown
+from facerender.errors import InputError, check_range, quoted
 from facerender.images.animation import arranged
 from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
 
@@ -31,17 +31,12 @@ PPD = 67.0206  # pixels per degree: 3840 pixels on 0.7 m, viewed from 0.7 m
 
 
 def flip_errors(reference: Pixels, image: Pixels) -> NDArray[np.float64]:
-    """Return the error of each pixel (H, W), in [0, 1]; its mean is the FLIP value of the image.
-
-    Raise InputError if the package flip-evaluator is missing.
-    """
+    """Return the error of each pixel (H, W), in [0, 1]; its mean is the FLIP value of the image."""
     return np.asarray(_evaluate(reference, image, magma=False)[..., 0], dtype=np.float64)
 
 
 def heat_map(reference: Pixels, image: Pixels, step: int = 1) -> NDArray[np.uint8]:
     """Return the errors as 8-bit colours (H, W, 3), from black through red to pale yellow.
-
-    Parameters and errors are as in :func:`flip_errors`.
 
     step : N if the images contain every Nth pixel of larger images; FLIP then treats each pixel as
         N pixels wide
@@ -101,11 +96,8 @@ def thumbnail(image: ImageData, side: int) -> Bytes:
 
 
 def difference_colours(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
-    """Return the signed difference in the worst channel as colours, and the largest difference.
-
-    The colour scale is linear below a value of FLOORS and logarithmic above it. The largest
-    difference has the full colour.
-    """
+    """Return the signed difference in the worst channel as colours, and the largest difference,
+    which has the full colour. The scale is linear up to FLOORS and logarithmic above."""
     floor = FLOORS[a.encoding]
     signed = signed_difference(a, b)
     largest = float(np.abs(signed).max())
@@ -147,25 +139,18 @@ def strips(image: ImageData) -> Iterator[slice]:
 
 
 def small_heat_map(a: Bytes, b: Bytes) -> Bytes:
-    """Return a FLIP heat map of two displayed images, reduced to at most HEAT pixels.
-
-    Each cell of pixels is reduced to the pixel that differs most, so that no firefly is lost.
-    Raise InputError if flip-evaluator is missing.
-    """
-    step = _step(a, HEAT)
+    """Return a FLIP heat map of two displayed images, reduced to at most HEAT pixels: to the pixel
+    of each cell that differs most, so that no firefly is lost."""
+    step = math.ceil(math.sqrt(a[..., 0].size / HEAT))
     differences = np.maximum(a, b) - np.minimum(a, b)
     worst_a, worst_b = _worst(differences.sum(axis=-1, dtype=np.uint16), step, a, b)
     return heat_map(worst_a / 255.0, worst_b / 255.0, step)
 
 
-def brightest(pixels: Bytes, most: int) -> Bytes:
-    """Reduce an image to at most ``most`` pixels: to the brightest pixel of each cell of pixels."""
-    return _worst(pixels.max(axis=-1), _step(pixels, most), pixels)[0]
-
-
-def _step(pixels: Bytes, most: int) -> int:
-    """Return the width of the cells, so that an image has at most ``most`` cells."""
-    return math.ceil(math.sqrt(pixels[..., 0].size / most))
+def brightest(pixels: Bytes, limit: int) -> Bytes:
+    """Reduce an image to at most ``limit`` pixels: to the brightest pixel of each cell."""
+    step = math.ceil(math.sqrt(pixels[..., 0].size / limit))
+    return _worst(pixels.max(axis=-1), step, pixels)[0]
 
 
 def _worst(key: NDArray[Any], step: int, *images: Bytes) -> list[Bytes]:
@@ -189,11 +174,12 @@ def lossless(pixels: Bytes) -> tuple[bytes, str]:
     """Return pixels as a lossless file, and its format: WebP, or PNG if a side is too long."""
     from PIL import Image
 
-    kind = "webp" if max(pixels.shape) <= 16383 else "png"
-    options = {"lossless": True, "method": 1, "quality": 0} if kind == "webp" else {}
     buffer = BytesIO()
-    Image.fromarray(pixels).save(buffer, kind, **options)
-    return buffer.getvalue(), kind
+    if max(pixels.shape) > 16383:
+        Image.fromarray(pixels).save(buffer, "png")
+        return buffer.getvalue(), "png"
+    Image.fromarray(pixels).save(buffer, "webp", lossless=True, method=1, quality=0)
+    return buffer.getvalue(), "webp"
 
 
 GAINS = (1e-3, 1e9)
@@ -235,7 +221,10 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     signed = signed_difference(a, b)
     full = 1.0 if a.encoding == "linear" else 255.0
     if gain is None:
-        gain = min(max(full / (_fitted(np.abs(signed)) or full), GAINS[0]), GAINS[1])
+        differences = np.abs(signed)
+        counted = differences[differences > _NEGLIGIBLE * differences.max()]
+        fitted = float(np.percentile(counted, _FITTED)) if counted.size else full
+        gain = min(max(full / fitted, GAINS[0]), GAINS[1])
     white = full / gain
     steps = np.arange(-_STEPS, _STEPS + 1) / _STEPS
     channels = srgb_to_linear(np.array(_COLORS) / 255.0).T
@@ -254,12 +243,6 @@ class _Difference(Frame):
 
     pair: tuple[ImageData, ImageData]
     gain: float
-
-
-def _fitted(differences: NDArray[np.float32]) -> float:
-    """Return the difference that is white in a picture of absolute differences; 0 if all are 0."""
-    counted = differences[differences > _NEGLIGIBLE * differences.max()]
-    return float(np.percentile(counted, _FITTED)) if counted.size else 0.0
 
 
 def sheet(
@@ -281,8 +264,8 @@ def sheet(
     InputError : there is no image; the sizes differ; a file cannot be read; the number of titles
         or of columns is invalid; the sheet is too large
     """
-    if not isinstance(images, Iterable) or isinstance(images, np.ndarray | str):
-        raise InputError(f"images = {shown(images)}: give a list of images")
+    if isinstance(images, np.ndarray | str):  # would be a list of rows, or of letters
+        raise InputError(f"images = {quoted(images)}: give a list of images")
     images = list(images)
     differences = {n: image for n, image in enumerate(images) if isinstance(image, _Difference)}
     gain = min((frame.gain for frame in differences.values()), default=math.inf)
@@ -291,7 +274,15 @@ def sheet(
         for n, frame in differences.items()
     }
     images = [scaled.get(n, image) for n, image in enumerate(images)]
-    cells = [_displayed(source, f"image {number}") for number, source in enumerate(images, 1)]
+    cells = [
+        displayed(
+            # A frame of a term has the colours of its PNG.
+            ImageData(source.srgb8(), "srgb8", f"image {number}")
+            if isinstance(source, Frame)
+            else as_image(source, f"image {number}")
+        )
+        for number, source in enumerate(images, 1)
+    ]
     if not cells:
         raise InputError("a sheet of 0 images: give at least one")
     for number, cell in enumerate(cells, 1):
@@ -303,8 +294,6 @@ def sheet(
     if titles is None:
         titles = [e.metadata.get("difference", "") if isinstance(e, Frame) else "" for e in images]
     texts = [titles] if isinstance(titles, str) else [*titles]
-    if not all(isinstance(text, str) for text in texts):
-        raise InputError(f"titles = {shown(titles)}: give a list of texts")
     if len(texts) != len(cells):
         raise InputError(f"titles: {len(texts)}, images: {len(cells)}; give one for each image")
     for n, frame in scaled.items():
@@ -313,8 +302,6 @@ def sheet(
         scale = title.rpartition(", ")[2]
         texts[n] = text if scale in text or not text else f"{text}, {scale}"
     if columns is not None:
-        if isinstance(columns, bool) or not isinstance(columns, int):
-            raise InputError(f"columns = {shown(columns)}: give a whole number")
         check_range("columns", columns, 1, len(cells))
     return _frame(arranged(cells, texts, columns), {})
 
@@ -327,13 +314,6 @@ def side_by_side(reference: Comparable, image: Comparable) -> Frame:
     )
     frame = difference(a, b)
     return sheet([a, b, frame], ["A", "B", frame.metadata["difference"]])
-
-
-def _displayed(source: Comparable | Image, name: str) -> NDArray[np.uint8]:
-    """Return an image as 8-bit sRGB (H, W, 3). A frame of a term has the colours of its PNG."""
-    if isinstance(source, Frame):
-        return displayed(ImageData(source.srgb8(), "srgb8", name))
-    return displayed(as_image(source, name))
 
 
 def _frame(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:

@@ -6,8 +6,8 @@ import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from html import escape
+from typing import Any
 
 import numpy as np
 
@@ -26,34 +26,33 @@ VERDICTS = {1: "differs", 2: "error", 0: "same"}  # text of each status, in the 
 INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
 OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
-# Width of the enlarged area around a place, keyed by the width of the place, in pixels.
+Square = tuple[int, int, int]  # x, y and side in pixels
+# Width of the enlarged area around a square, keyed by the width of the square, in pixels.
 AROUND = {1: 17, BLOCK: 2 * BLOCK}
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A pair as text, which takes less memory than its images and can be sent between processes.
+def entry(pair: Pair) -> dict[str, Any]:
+    """Return name and status of a pair, and the HTML of its table row and of its section, in which
+    INDEX stands for the entry's index. This data takes less memory than the pair's images."""
+    verdict = VERDICTS[pair.status]
+    mark = f'<span class="verdict">{verdict}</span>'
+    result = pair.comparison
+    reasons = (pair.error,) if result is None else result.reasons or (str(result),)
+    name = escape(pair.name)
+    link = f'<a href="#pair-{INDEX}">{name}</a>'
+    summary = row(link, (mark, escape(reasons[0])), verdict)
+    items = "".join(f"<li>{escape(reason)}</li>" for reason in reasons)
+    checks = "" if result is None else _check_table(result)
+    section = (
+        f'<details class="{verdict}"><summary><h2>{name} {mark}</h2></summary>'
+        f'<div id="pair-{INDEX}"><ul class="reasons">{items}</ul>{_images(pair)}'
+        f'<div class="tables">{_properties(pair)}{checks}</div></div></details>'
+    )
+    return {"name": pair.name, "status": pair.status, "row": summary, "section": section}
 
-    In the HTML, the placeholder INDEX stands for the entry's index.
-    """
 
-    name: str
-    status: int
-    row: str  # HTML of the pair's table row
-    section: str  # HTML of the pair's section
-
-
-def entry(pair: Pair) -> Entry:
-    """Return the entry of a pair."""
-    name = f'<a href="#pair-{INDEX}">{escape(pair.name)}</a>'
-    cells = _verdict(pair), escape(_reasons(pair)[0])
-    summary = row(name, cells, VERDICTS[pair.status])
-    return Entry(pair.name, pair.status, summary, _section(pair))
-
-
-def write_report(path: str | os.PathLike[str], entries: Sequence[Entry]) -> None:
-    """Write a self-contained page of all pairs; pairs that differ come first. Raise InputError if
-    the file cannot be written."""
+def write_report(path: str | os.PathLike[str], entries: Sequence[Mapping[str, Any]]) -> None:
+    """Write a self-contained page of all pairs; pairs that differ come first."""
     # The names of files may contain invalid UTF-8.
     write_bytes(path, _page(entries).encode(errors="backslashreplace"))
 
@@ -81,51 +80,21 @@ with the arrow keys, and press Escape or click again to show the whole images.</
 </details>"""
 
 
-def _page(entries: Sequence[Entry]) -> str:
+def _page(entries: Sequence[Mapping[str, Any]]) -> str:
     order = list(VERDICTS)
-    ranked = sorted(entries, key=lambda entry: order.index(entry.status))
-    counts = Counter(entry.status for entry in entries)
+    ranked = sorted(entries, key=lambda entry: order.index(entry["status"]))
+    counts = Counter(entry["status"] for entry in entries)
     words = {1: "differs" if counts[1] == 1 else "differ", 2: "not comparable", 0: "the same"}
     title = ", ".join(f"{counts[key]} {word}" for key, word in words.items() if counts[key])
-    rows = (entry.row.replace(INDEX, str(position)) for position, entry in enumerate(ranked))
-    sections = (
-        entry.section.replace(INDEX, str(position)).replace(
-            "<details", "<details open", int(position < OPEN and entry.status > 0)
-        )
-        for position, entry in enumerate(ranked)
-    )
+    rows, sections = [], []
+    for index, pair in enumerate(ranked):
+        rows.append(pair["row"].replace(INDEX, str(index)))
+        unfolded = int(index < OPEN and pair["status"] > 0)
+        section = pair["section"].replace(INDEX, str(index))
+        sections.append(section.replace("<details", "<details open", unfolded))
     summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
     body = f"{summary}{''.join(sections)}{_NOTES}"
     return document(f"Comparison: {title}", body, "viewer.js")
-
-
-def _reasons(pair: Pair) -> Sequence[str]:
-    result = pair.comparison
-    return (pair.error,) if result is None else result.reasons or (str(result),)
-
-
-def _section(pair: Pair) -> str:
-    result = pair.comparison
-    checks = "" if result is None else _check_table(result)
-    if result and pair.reference:  # the images are the same
-        source = _source(pictures.thumbnail(pair.reference, 160))
-        largest = "All pixels are equal."
-        if result.largest:
-            amount = CHECKS["point"].amount(result.largest, result.encoding)
-            largest = f"Largest difference of a pixel: {amount} at {result.largest_at}."
-        images = f"<p>{_image(source, 'the image')}</p><p>{largest}</p>"
-    else:
-        images = _viewer(pair)
-    items = "".join(f"<li>{escape(reason)}</li>" for reason in _reasons(pair))
-    return (
-        f'<details class="{VERDICTS[pair.status]}"><summary><h2>{escape(pair.name)} '
-        f'{_verdict(pair)}</h2></summary><div id="pair-{INDEX}"><ul class="reasons">{items}</ul>'
-        f'{images}<div class="tables">{_facts(pair)}{checks}</div></div></details>'
-    )
-
-
-def _verdict(pair: Pair) -> str:
-    return f'<span class="verdict">{VERDICTS[pair.status]}</span>'
 
 
 def _check_table(result: Comparison) -> str:
@@ -135,10 +104,15 @@ def _check_table(result: Comparison) -> str:
     points = CHECKS["slivers"].amount(result.points, result.encoding)
     blocks = f"{result.blocks} of {number_of(result.blocks_judged, 'block')}"
     where = {
-        "point": _where(result.point, result.point_at, points),
-        "block": _where(result.block, result.block_at, blocks),
-        "shift": f"{x:+.2f} to the right, {y:+.2f} down" if max(abs(x), abs(y)) > 0.005 else "",
+        name: f"{'brighter' if change > 0.0 else 'darker'} at {position}; {count} over"
+        for name, change, position, count in (
+            ("point", result.point, result.point_at, points),
+            ("block", result.block, result.block_at, blocks),
+        )
+        if change
     }
+    if max(abs(x), abs(y)) > 0.005:
+        where["shift"] = f"{x:+.2f} to the right, {y:+.2f} down"
     rows = []
     for name, value, limit in (
         ("point", abs(result.point), limits.point),
@@ -153,61 +127,73 @@ def _check_table(result: Comparison) -> str:
     ):
         if value < 0.0:
             value, limit, where[name] = -value, BLUR * limit, "less in B"
-        figures = [CHECKS[name].amount(number, result.encoding) for number in (value, limit)]
+        check = CHECKS[name]
+        figures = [check.amount(number, result.encoding) for number in (value, limit)]
         relation = (" &gt; " if value > limit else " ≤ ").join(figures)
         failed = value > limit and not result.same
         cells = [f'<span class="over">{relation}</span>' if failed else relation]
-        cells += [where.get(name, ""), escape(CHECKS[name].sentence(limit, result.encoding))]
+        amount = check.amount(limit, result.encoding, remark=True)
+        meaning = f"The {check.quantity} may be at most {amount}."
+        cells += [where.get(name, ""), escape(meaning)]
         rows.append(row(name, cells, "changed" if failed else ""))
     return table("checks", ("check", "value and limit", "B is", "meaning of the limit"), rows)
 
 
-def _where(change: float, position: tuple[int, int], count: str) -> str:
-    return (
-        f"{'brighter' if change > 0.0 else 'darker'} at {position}; {count} over" if change else ""
-    )
+def _available(pair: Pair) -> dict[str, ImageData]:
+    return {key: image for key, image in (("A", pair.reference), ("B", pair.image)) if image}
 
 
-def _facts(pair: Pair) -> str:
+def _properties(pair: Pair) -> str:
     """Return a table of the images' names and of all properties and metadata that differ, and a
     folded table of the others."""
-    images = {"A": pair.reference, "B": pair.image}
-    facts = {name: _fact(image) for name, image in images.items() if image}
-    rows: dict[bool, list[str]] = {True: [], False: []}
-    for key in dict.fromkeys(key for fact in facts.values() for key in fact):
-        values = [fact.get(key, "–") for fact in facts.values()]
+    properties: dict[str, dict[str, str]] = {}
+    for letter, image in _available(pair).items():
+        height, width, channels = image.pixels.shape
+        encoding = "linear" if image.encoding == "linear" else "8-bit sRGB"
+        pixels = f"{width} × {height}, {number_of(channels, 'channel')}, {encoding}"
+        properties[letter] = {"image": image.name, "pixels": pixels}
+        if image.color_space:
+            properties[letter]["colour space"] = image.color_space
+        if image.profile:
+            properties[letter]["converted from"] = image.profile
+        properties[letter] |= image.metadata
+    if not properties:
+        return ""
+    unfolded: list[str] = []
+    folded: list[str] = []
+    for key in dict.fromkeys(key for values in properties.values() for key in values):
+        values = [of_image.get(key, "–") for of_image in properties.values()]
         changed = len(set(values)) > 1
         mark = "changed" if changed and key != "image" else ""
-        rows[changed or key == "image"].append(row(escape(key), map(escape, values), mark))
-    if not facts:
-        return ""
-    shown, folded = (table("facts", ("", *facts), rows[differs]) for differs in (True, False))
-    count = len(rows[False])
-    title = f"{count} {'equal ' * (len(facts) > 1)}propert{'y' if count == 1 else 'ies'}"
-    return f"<div>{shown}<details><summary>{title}</summary>{folded}</details></div>"
+        rows = unfolded if changed or key == "image" else folded
+        rows.append(row(escape(key), map(escape, values), mark))
+    head = "", *properties
+    equal = "equal " * (len(properties) > 1)
+    title = f"{len(folded)} {equal}propert{'y' if len(folded) == 1 else 'ies'}"
+    details = f"<details><summary>{title}</summary>{table('facts', head, folded)}</details>"
+    return f"<div>{table('facts', head, unfolded)}{details}</div>"
 
 
-def _fact(image: ImageData) -> dict[str, str]:
-    height, width, channels = image.pixels.shape
-    kind = "linear" if image.encoding == "linear" else "8-bit sRGB"
-    space = {"colour space": image.color_space} if image.color_space else {}
-    pixels = f"{width} × {height}, {number_of(channels, 'channel')}, {kind}"
-    converted = {"converted from": image.profile} if image.profile else {}
-    return {"image": image.name, "pixels": pixels, **space, **converted, **image.metadata}
-
-
-def _viewer(pair: Pair) -> str:
-    """Return HTML of the available images and, if both were compared, their differences."""
-    images = {key: image for key, image in (("A", pair.reference), ("B", pair.image)) if image}
+def _images(pair: Pair) -> str:
+    """Return HTML of the available images and, if both were compared, their differences; of equal
+    images, a small one."""
+    images, result = _available(pair), pair.comparison
+    if result and pair.reference:  # the images are the same
+        source = _source(pictures.thumbnail(pair.reference, 160))
+        text = "All pixels are equal."
+        if result.largest:
+            amount = CHECKS["point"].amount(result.largest, result.encoding)
+            text = f"Largest difference of a pixel: {amount} at {result.largest_at}."
+        return f"<p>{_image(source, 'the image')}</p><p>{text}</p>"
     if not images:
         return ""
     if max(image.pixels[..., 0].size for image in images.values()) > pictures.MAX_PIXELS:
         limit = pictures.MAX_PIXELS
         return f'<p class="note">Images of more than {limit} pixels are not shown.</p>'
     displayed = {key: pictures.displayed(image) for key, image in images.items()}
-    places, sources = _places(pair), {key: _source(pixels) for key, pixels in displayed.items()}
+    squares, sources = _squares(pair), {key: _source(pixels) for key, pixels in displayed.items()}
     areas = ""
-    if pair.reference and pair.image and pair.comparison is not None:
+    if pair.reference and pair.image and result is not None:
         colors, largest = pictures.difference_colours(pair.reference, pair.image)
         shape = colors.shape
         maps = {"difference": _source(pictures.brightest(colors, MAP))}
@@ -215,15 +201,15 @@ def _viewer(pair: Pair) -> str:
         with suppress(InputError):  # FLIP needs an optional package
             maps["FLIP"] = _source(pictures.small_heat_map(*displayed.values()))
             flip = '<label><input type="checkbox" class="flip">FLIP</label>'
-        caption = _legend(largest, pair.comparison.encoding, flip)
-        figures = _figure("difference", caption, shape, maps, places)
+        caption = _legend(largest, result.encoding, flip)
+        figures = _figure("difference", caption, shape, maps, squares)
         figures += _figure("both", _SWAP, shape, sources, {})
-        for name, place in places.items():
-            areas += _enlarged(name, place, {**displayed, "difference": colors})
+        for name, square in squares.items():
+            areas += _enlarged(name, square, {**displayed, "difference": colors})
         areas = f'<div class="places">{areas}</div>'
     else:
         figures = "".join(
-            _figure("one", f"<b>{letter}</b>", pixels.shape, {letter: sources[letter]}, places)
+            _figure("one", f"<b>{letter}</b>", pixels.shape, {letter: sources[letter]}, squares)
             for letter, pixels in displayed.items()
         )
     return (
@@ -240,25 +226,25 @@ _SWAP = (
 )
 
 
-def _places(pair: Pair) -> dict[str, tuple[int, int, int]]:
-    """Return x, y and side in pixels of the marked places, keyed by the place's name."""
-    places = {}
+def _squares(pair: Pair) -> dict[str, Square]:
+    """Return the marked squares, keyed by name."""
+    squares = {}
     if (result := pair.comparison) is not None:
         if result.block:
-            places["worst block"] = (*result.block_at, BLOCK)
+            squares["worst block"] = (*result.block_at, BLOCK)
         if result.point:
-            places["worst pixel"] = (*result.point_at, 1)
-        return places
-    for letter, image in (("A", pair.reference), ("B", pair.image)):
-        if image is not None and not np.isfinite(image.pixels).all():
+            squares["worst pixel"] = (*result.point_at, 1)
+        return squares
+    for letter, image in _available(pair).items():
+        if not np.isfinite(image.pixels).all():
             y, x, _ = np.argwhere(~np.isfinite(image.pixels))[0].tolist()
-            places[f"not finite in {letter}"] = (x, y, 1)
-    return places
+            squares[f"not finite in {letter}"] = (x, y, 1)
+    return squares
 
 
-def _enlarged(name: str, place: tuple[int, int, int], images: Mapping[str, pictures.Bytes]) -> str:
-    """Return a button that shows a place, cut out of each image, and enlarges the images there."""
-    x, y, side = place
+def _enlarged(name: str, square: Square, images: Mapping[str, pictures.Bytes]) -> str:
+    """Return a button that shows a square, cut out of each image, and enlarges the images there."""
+    x, y, side = square
     crops = ""
     for label, pixels in images.items():
         size = [min(AROUND[side], extent) for extent in pixels.shape[:2]]
@@ -277,15 +263,15 @@ def _enlarged(name: str, place: tuple[int, int, int], images: Mapping[str, pictu
 
 
 def _figure(
-    kind: str,
+    css_class: str,
     caption: str,
     shape: Sequence[int],
     images: Mapping[str, str],
-    places: Mapping[str, tuple[int, int, int]],
+    squares: Mapping[str, Square],
 ) -> str:
     """Return a figure of images that lie on each other, keyed by their alternative text."""
     marks = "".join(
-        _mark(place, shape, "ring" if place[2] == 1 else "square") for place in places.values()
+        _mark(square, shape, "ring" if square[2] == 1 else "square") for square in squares.values()
     )
     layers = "".join(
         f'<div class="sheet {name}"><div class="layer">{_image(source, name)}{marks}</div></div>'
@@ -293,17 +279,17 @@ def _figure(
     )
     height, width = shape[:2]
     return (
-        f'<figure class="{kind}" style="--w:{width};--h:{height}">'
+        f'<figure class="{css_class}" style="--w:{width};--h:{height}">'
         f'<figcaption>{caption}</figcaption><div class="view">{layers}</div></figure>'
     )
 
 
-def _mark(place: tuple[int, int, int], shape: Sequence[int], kind: str) -> str:
-    """Return HTML that marks a place in an image of a shape."""
-    x, y, side = place
+def _mark(square: Square, shape: Sequence[int], css_class: str) -> str:
+    """Return HTML that marks a square in an image of a shape."""
+    x, y, side = square
     sides = x / shape[1], y / shape[0], side / shape[1], side / shape[0]
     style = "left:{:.4%};top:{:.4%};width:{:.4%};height:{:.4%}".format(*sides)
-    return f'<i class="mark {kind}" style="{style}"></i>'
+    return f'<i class="mark {css_class}" style="{style}"></i>'
 
 
 def _image(source: str, alt: str) -> str:

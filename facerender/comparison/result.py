@@ -21,36 +21,20 @@ _SLIGHT_FRACTION = 1e-4
 HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
 # Metadata that a change of the scene or of the settings does not change.
 DRIVER_KEYS = ("GL_RENDERER", "GL_VERSION", "facerender")
-_FACTS = 3  # largest number of changes of the metadata in a text
+_MAX_CHANGES = 3  # of the metadata in a text
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Largest differences between two images that still count as the same.
-
-    The units of point, block and grain depend on the encoding of the images, linear or 8-bit sRGB.
-
-    Attributes
-    ----------
-    point : difference of a pixel beyond the range that its neighbourhood explains. Linear:
-        radiance; sRGB: 8-bit levels
-    block : change of a block's mean, after removing the effect of a shift. Linear: fraction of the
-        mean, or of 0.01 if larger; sRGB: 8-bit levels
-    trend : mean product of the changes of two neighbouring blocks, in units of the blocks' standard
-        errors; 0 without a change. A wider block limit reduces the measured trend, so the trend
-        check passes more blocks too
-    grain : increase of the RMS of differences between adjacent pixels. ``BLUR`` widens the limit of
-        a decrease. Linear: fraction of the pixel's level; sRGB: 8-bit levels
-    texture : fraction of the variance between adjacent pixels that was added or lost, in [0, 1]
-    coverage : fraction of all pixels whose coverage changed, in [0, 1]
-    shift : displacement of the whole image, in pixels
-    """
+    """Largest differences between two images that still count as the same. :data:`CHECKS` has the
+    quantities, and the units for linear and for 8-bit sRGB images."""
 
     point: float
-    block: float
+    block: float  # without the effect of a shift; a fraction of the mean, or of 0.01 if larger
+    # A wider block limit reduces the measured trend, so the trend check passes more blocks too.
     trend: float = 0.15
-    grain: float = 9e-4
-    texture: float = 0.01
+    grain: float = 9e-4  # of an increase; BLUR widens it for a decrease
+    texture: float = 0.01  # as grain
     coverage: float = 0.005
     shift: float = MOVED
 
@@ -59,6 +43,7 @@ class Limits:
             check_range(f"limit {name}", value, 0.0, HIGHEST)
 
 
+NAMES = tuple(limit.name for limit in fields(Limits))
 LIMITS: dict[Encoding, Limits] = {
     "linear": Limits(0.005, 5e-3),
     "srgb8": Limits(3.0, 1.0, grain=0.35),
@@ -67,70 +52,43 @@ LIMITS: dict[Encoding, Limits] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Metrics of two images, and the reasons of a difference.
+    """Metrics of two images, and the reasons of a difference. ``bool(comparison)`` is
+    ``comparison.same``. Positions are (x, y) from the top left."""
 
-    Positions are (x, y) from the top left. ``bool(comparison)`` is ``comparison.same``.
-
-    Attributes
-    ----------
-    reasons : reasons of a difference, as text; empty if the images are the same. A reason starts
-        with the name of its check
-    cause : "metadata" if the scene's metadata changed, else the likely cause; "" if the images are
-        the same
-    metadata : reference's and image's text of all metadata that changed, keyed by name
-    encoding : "linear" or "srgb8"; it determines the units, see :class:`Limits`
-    limits : the limits of the checks
-    foreign : whether another driver drew the image, or may have drawn it. Drivers filter 8-bit
-        textures differently, so the limits of trend, grain and texture are then wider
-    point : unexplained difference of the worst pixel, negative if the image is darker; reduced by
-        the effect of a sliver if no pixel exceeds the limit
-    point_at : position of the worst pixel
-    points : number of pixels that exceed the point limit by more than a sliver may cause
-    slight : number of all pixels that exceed the point limit, including slivers
-    holes : number of pixels with less than a quarter of the light of their neighbours in the other
-        image, or without coverage although the other image covers all of these neighbours
-    block, block_at : change of the worst block's mean, and the top left pixel of this block
-    blocks : number of blocks over the block limit
-    blocks_judged : number of all blocks with enough pixels
-    trend, z_score : trend of the blocks' changes, and the trend divided by its standard error
-    grain : RMS of differences between adjacent pixels in flat areas, image minus reference
-    texture : variance between adjacent pixels in all areas, image minus reference, divided by the
-        sum of the two variances
-    gain : brightness that the changed blocks gained, weighted towards smooth areas. Linear:
-        fraction of the reference; sRGB: 8-bit levels
-    shift : displacement of the image to the right and down, in pixels
-    coverage : fraction of the pixels whose coverage changed; 0 without an alpha channel
-    largest, mean : largest and mean absolute difference of any channel, for information only
-    largest_at : position of the largest difference
-    images : the two images, which stay in memory as long as the result: notebooks display them
-    """
-
-    reasons: tuple[str, ...]
-    encoding: Encoding
+    reasons: tuple[str, ...]  # as text that starts with the name of the failed check
+    encoding: Encoding  # determines the units, see :class:`Limits`
     size: tuple[int, int]
     limits: Limits
+    # Whether another driver drew the image, or may have drawn it. Drivers filter 8-bit textures
+    # differently, so the limits of trend, grain and texture are then wider.
     foreign: bool
+    # Unexplained difference of the worst pixel, negative if the image is darker; reduced by the
+    # effect of a sliver if no pixel exceeds the limit.
     point: float
     point_at: tuple[int, int]
-    points: int
-    slight: int
-    holes: int
-    block: float
-    block_at: tuple[int, int]
-    blocks: int
-    blocks_judged: int
-    trend: float
-    z_score: float
-    grain: float
-    texture: float
+    points: int  # number of pixels that exceed the point limit by more than a sliver may cause
+    slight: int  # number of all pixels that exceed the point limit, including slivers
+    holes: int  # number of pixels, see :data:`CHECKS`
+    block: float  # change of the worst block's mean
+    block_at: tuple[int, int]  # top left pixel of the worst block
+    blocks: int  # number of blocks over the block limit
+    blocks_judged: int  # number of all blocks with enough pixels
+    trend: float  # of the blocks' changes
+    z_score: float  # the trend divided by its standard error
+    grain: float  # RMS of differences between adjacent pixels in flat areas, image minus reference
+    texture: float  # variance between adjacent pixels, image minus reference, divided by their sum
+    # Brightness that the changed blocks gained, weighted towards smooth areas. Linear: fraction of
+    # the reference; sRGB: 8-bit levels.
     gain: float
-    shift: tuple[float, float]
-    coverage: float
-    largest: float
+    shift: tuple[float, float]  # displacement of the image to the right and down, in pixels
+    coverage: float  # fraction of the pixels whose coverage changed; 0 without an alpha channel
+    largest: float  # absolute difference of any channel, for information only, as is the mean
     mean: float
     largest_at: tuple[int, int] = (0, 0)
-    cause: str = ""
+    cause: str = ""  # the likely cause; "metadata" if the scene's metadata changed
+    # Reference's and image's text of all metadata that changed, keyed by name.
     metadata: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    # The two images, which stay in memory as long as the result: notebooks display them.
     images: Sequence[Any] = field(default=(), repr=False, compare=False)
 
     @property
@@ -149,7 +107,7 @@ class Comparison:
         return not self.metadata.keys() <= {*DRIVER_KEYS}
 
     @property
-    def facts(self) -> str:
+    def metadata_text(self) -> str:
         """The changed metadata as text, without the driver's if the scene's changed; "" if there is
         no change."""
         changed = [
@@ -157,8 +115,9 @@ class Comparison:
             for key, values in self.metadata.items()
             if not (self.scene_changed and key in DRIVER_KEYS)
         ]
-        remainder = [f"{len(changed) - _FACTS} more"] if len(changed) > _FACTS else []
-        return f" (metadata: {', '.join(changed[:_FACTS] + remainder)})" if changed else ""
+        if len(changed) > _MAX_CHANGES:
+            changed[_MAX_CHANGES:] = [f"{len(changed) - _MAX_CHANGES} more"]
+        return f" (metadata: {', '.join(changed)})" if changed else ""
 
     @property
     def limit_factor(self) -> float:
@@ -183,9 +142,8 @@ class Comparison:
         """Return all metrics, for JSON."""
         omitted = ("limits", "images")
         metrics = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in omitted}
-        verdict = {"same": self.same, "failed": self.failed}
         limits = {"limits": asdict(self.limits), "limit_factor": self.limit_factor}
-        return {**verdict, **metrics, **limits}
+        return {"same": self.same, "failed": self.failed, **metrics, **limits}
 
     def _repr_html_(self) -> str:
         """Return the verdict, and A, B and their difference, which notebooks display."""
@@ -202,5 +160,5 @@ class Comparison:
     def __str__(self) -> str:
         foreign = ", with wider limits for another driver" * (self.foreign and self.largest > 0.0)
         unjudged = "" if self.blocks_judged else ", but no block has enough pixels to be checked"
-        facts = self.facts * self.scene_changed
-        return "; ".join(self.reasons) or f"same{foreign}{unjudged}{facts}"
+        metadata = self.metadata_text * self.scene_changed
+        return "; ".join(self.reasons) or f"same{foreign}{unjudged}{metadata}"

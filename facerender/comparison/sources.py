@@ -42,10 +42,6 @@ class Check(NamedTuple):
         unit = unit.removesuffix("s") if text == "1" else unit
         return f"{text} {unit} {note if remark else ''}".rstrip()
 
-    def sentence(self, limit: float, encoding: Encoding) -> str:
-        """Return the meaning of a limit."""
-        return f"The {self.quantity} may be at most {self.amount(limit, encoding, remark=True)}."
-
 
 CHECKS = {
     "point": Check(
@@ -95,20 +91,15 @@ def as_image(source: Comparable, name: str) -> ImageData:
 
 def both(reference: Comparable, image: Comparable) -> tuple[ImageData, ImageData]:
     """Return the image data of two sources, A and B, with equal channels: without an alpha that
-    only one has and that is 1 everywhere. Raise InputError if sizes, channels, encodings or colour
-    spaces differ, or if a pixel is not finite."""
+    only one has and that is 1 everywhere. Refuse images that cannot be compared."""
     a, b = as_image(reference, "A"), as_image(image, "B")
     if a.pixels.shape[:2] != b.pixels.shape[:2]:
-        raise InputError(
-            f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels: render both "
-            "at one size"
-        )
+        sizes = f"{a.name} is {size_of(a.pixels)}, {b.name} is {size_of(b.pixels)} pixels"
+        raise InputError(f"{sizes}: render both at one size")
     if a.encoding != b.encoding:
-        kinds = {"linear": "linear float", "srgb8": "8-bit sRGB"}
-        raise InputError(
-            f"{a.name} is {kinds[a.encoding]}, {b.name} is {kinds[b.encoding]}: give two images of "
-            "one encoding"
-        )
+        names = {"linear": "linear float", "srgb8": "8-bit sRGB"}
+        encodings = f"{a.name} is {names[a.encoding]}, {b.name} is {names[b.encoding]}"
+        raise InputError(f"{encodings}: give two images of one encoding")
     if a.pixels.shape[2] != b.pixels.shape[2]:
         full = 255 if a.encoding == "srgb8" else 1
         a, b = (
@@ -125,27 +116,20 @@ def both(reference: Comparable, image: Comparable) -> tuple[ImageData, ImageData
     if a.color_space != b.color_space:
         spaces = (f"{x.name} is in colour space {x.color_space or '(unnamed)'}" for x in (a, b))
         raise InputError(f"{', '.join(spaces)}: convert one")
-    for data in (a, b):
-        _check_finite(data)
+    for data in (a, b) if a.encoding == "linear" else ():
+        good = np.abs(data.pixels) <= np.float32(HIGHEST)  # a half float cannot represent HIGHEST
+        if good.all():
+            continue
+        row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
+        nans, infinite = (int(test(data.pixels).sum()) for test in (np.isnan, np.isinf))
+        values = f"{nans} NaN and {number_of(infinite, 'infinite value')}"
+        if not nans + infinite:
+            values = f"values beyond {HIGHEST:g}"
+        raise InputError(
+            f"{data.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
+            "repair its renderer"
+        )
     return a, b
-
-
-def _check_finite(image: ImageData) -> None:
-    """Raise InputError if a linear image has a pixel that is not finite, or is beyond HIGHEST."""
-    if image.encoding == "srgb8":
-        return
-    good = np.abs(image.pixels) <= np.float32(HIGHEST)  # a half float cannot represent HIGHEST
-    if good.all():
-        return
-    row, column, channel = np.unravel_index(int(good.argmin()), good.shape)
-    nans, infinite = (int(test(image.pixels).sum()) for test in (np.isnan, np.isinf))
-    values = f"{nans} NaN and {number_of(infinite, 'infinite value')}"
-    if not nans + infinite:
-        values = f"values beyond {HIGHEST:g}"
-    raise InputError(
-        f"{image.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
-        "repair its renderer"
-    )
 
 
 def size_of(pixels: NDArray[Any]) -> str:

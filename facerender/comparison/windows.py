@@ -114,9 +114,7 @@ class BlockSums:
     @classmethod
     def of(cls, a: Float, b: Float, inside: Mask, rows: slice, scale: Scale) -> BlockSums:
         """Return the sums over ``rows`` of two images (H, W, C); other rows serve as neighbours.
-
-        inside : (H, W), mask of the pixels that are not near an edge of the coverage
-        """
+        ``inside`` (H, W) is the mask of the pixels that are not near an edge of the coverage."""
         count = a.shape[2]
         planes = [[np.ascontiguousarray(image[..., i]) for i in range(count)] for image in (a, b)]
         means = [np.add.reduce(channels) / np.float32(count) for channels in planes]
@@ -140,7 +138,10 @@ class BlockSums:
         of_cells, of_blocks = [], []
         for x, y in zip(*planes, strict=True):
             middle, change = np.float32(0.5) * (x + y), (y - x)[rows]
-            slopes = [_slope(middle, axis)[rows] for axis in (1, 0)]
+            slopes = np.zeros((2, *middle.shape), middle.dtype)  # central differences, 0 at borders
+            slopes[0, :, 1:-1] = np.float32(0.5) * (middle[:, 2:] - middle[:, :-2])
+            slopes[1, 1:-1] = np.float32(0.5) * (middle[2:] - middle[:-2])
+            slopes = slopes[:, rows]
             weighted = [inverse * slope for slope in slopes]
             normal += [[np.vdot(row, column) for column in (*slopes, change)] for row in weighted]
             floor = np.float32(FLOOR if scale is LINEAR else 0.0)
@@ -251,11 +252,9 @@ class BlockStatistics:
 
     @property
     def quiet(self) -> bool:
-        """Whether linear images differ between adjacent pixels as images of one driver do.
-
-        Other drivers filter 8-bit textures with other rounding errors, which differ from channel to
-        channel of a coloured texture.
-        """
+        """Whether linear images differ between adjacent pixels as images of one driver do."""
+        # Other drivers filter 8-bit textures with other rounding errors, which differ from channel
+        # to channel of a coloured texture.
         if self.scale is SRGB8 or self.changed.sum() < _FEW:
             return False
         pixels = self.sums.pixels[0][self.changed]
@@ -267,32 +266,21 @@ class BlockStatistics:
 
     @cached_property
     def rounding(self) -> NDArray[np.float64]:
-        """Largest change of each block's mean that rounding to 8 bits may cause, in levels.
-
-        If the values in a block increase evenly by R steps, rounding changes their mean by at most
-        (1 - R) / 2 or, from R = 1/2, by 1 / (8 R). R is estimated for each cell of both images.
-        """
-        weight = self.sums.weight
-        if not self._dithered:
-            return np.zeros_like(self._weight)
-        ranges = [
-            np.hypot(*np.gradient(np.pad(levels, 1, "edge")))[1:-1, 1:-1]
-            * np.float64(BLOCK // _CELL)
-            for levels in self.sums.levels / _CELL**2
-        ]
-        error = sum(
-            np.where(steps < 0.5, 0.5 * (1.0 - steps), 0.125 / np.maximum(steps, 0.5))
-            for steps in ranges
-        )
-        return block_sums(weight * error) / self._weight
+        """Largest change of each block's mean that rounding to 8 bits may cause, in levels."""
+        error = np.zeros_like(self.sums.weight, np.float64)
+        # If the values in a block increase evenly by R steps, rounding changes their mean by at
+        # most (1 - R) / 2 or, from R = 1/2, by 1 / (8 R). R is estimated for each cell.
+        for levels in self.sums.levels / _CELL**2 if self._dithered else ():
+            steps = np.hypot(*np.gradient(np.pad(levels, 1, "edge")))[1:-1, 1:-1]
+            steps = steps * np.float64(BLOCK // _CELL)
+            error += np.where(steps < 0.5, 0.5 * (1.0 - steps), 0.125 / np.maximum(steps, 0.5))
+        return block_sums(self.sums.weight * error) / self._weight
 
     @cached_property
     def channels(self) -> NDArray[np.float64]:
-        """Change of each block's mean in the block's worst channel. Linear images: fraction of that
-        mean; sRGB images: 8-bit levels.
-
-        NaN if the block is not judged; 0 if the change is within three standard errors.
-        """
+        """Change of each block's mean in the block's worst channel: a fraction of that mean in
+        linear images, else 8-bit levels. NaN if the block is not judged; 0 if the change is within
+        three standard errors."""
         parts = self.sums.channels.swapaxes(0, 1)
         divisor = np.maximum(parts[3], 1e-12) if self.scale is LINEAR else self._weight
         relative = self._settled(parts[:3]) / divisor
@@ -314,11 +302,9 @@ class BlockStatistics:
 
     @property
     def grain(self) -> float:
-        """RMS of differences between adjacent pixels: RMS of the image minus RMS of the reference.
-
-        The value is at most the RMS for the difference image. For linear images it is the RMS of
-        the noise that is independent in each channel, if this RMS is larger.
-        """
+        """RMS of differences between adjacent pixels: RMS of the image minus RMS of the reference,
+        at most the RMS of the difference image. For linear images it is the RMS of the noise that
+        is independent in each channel, if this RMS is larger."""
         difference, reference, image, single = self._grains
         increase = _beyond(image - reference, self._dither(np.minimum(reference, image)))
         common = np.copysign(np.sqrt(min(abs(increase), difference)), increase)
@@ -345,10 +331,8 @@ class BlockStatistics:
 
     @property
     def gain(self) -> float:
-        """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels.
-
-        It includes the effect of a displacement, since a gain can look like a displacement.
-        """
+        """Brightness that the changed blocks gained: fraction of the reference, or 8-bit levels."""
+        # The effect of a displacement is included, since a gain can look like a displacement.
         change, _, _, level = self.sums.channels[:, :, self.changed].sum(axis=(0, 2))
         if self.scale is SRGB8:
             level = len(self.sums.channels) * self._weight[self.changed].sum()
@@ -400,14 +384,6 @@ def _steps(x: Float) -> Float:
     return largest
 
 
-def _slope(x: Float, axis: int) -> Float:
-    """Return the central difference along an axis; 0 at the border."""
-    slope = np.zeros_like(x)
-    target, source = np.moveaxis(slope, axis, 0), np.moveaxis(x, axis, 0)
-    target[1:-1] = np.float32(0.5) * (source[2:] - source[:-2])
-    return slope
-
-
 def detail_of(x: Float) -> Float:
     """Return each pixel minus the mean of its left and right neighbours; 0 at the border."""
     detail = np.zeros_like(x)
@@ -437,8 +413,6 @@ def excess(a: Float, b: Float, full: Mask, least: float, scale: Scale) -> tuple[
     range of its neighbourhood in the other image, negative where image b is darker. Also return the
     part of this difference that slivers may cause.
 
-    Parameters
-    ----------
     a, b : (H, W, C)
     full : (H, W), pixels that both images cover fully
     least : smallest difference of interest; areas with smaller differences get 0
@@ -482,14 +456,14 @@ def holes(a: Float, b: Float, full: Mask, scale: Scale) -> Mask:
     ]
     for x, y in (levels, levels[::-1]):
         candidates = full & (y < fraction * x - floor)
-        places = np.argwhere(candidates)
-        if not places.size:
+        positions = np.argwhere(candidates)
+        if not positions.size:
             continue
         padded = np.pad(np.where(full, x, np.inf), 3, constant_values=np.inf)
         low = np.minimum.reduce(
-            [padded[tuple((places + (i, j)).T)] for i in range(7) for j in range(7)]
+            [padded[tuple((positions + (i, j)).T)] for i in range(7) for j in range(7)]
         )
-        rows, columns = places[y[candidates] < fraction * low - floor].T
+        rows, columns = positions[y[candidates] < fraction * low - floor].T
         mask[rows, columns] = True
     return mask
 
@@ -570,11 +544,8 @@ class Strip:
 
     @classmethod
     def of_all(cls, a: ImageData, b: ImageData, counts: Mask, limit: float) -> Strip:
-        """Return the metrics of all rows, computed strip by strip in threads.
-
-        counts : (H, W), mask of the pixels that count
-        limit : limit of a pixel's difference
-        """
+        """Return the metrics of all rows, computed strip by strip in threads; ``counts`` is the
+        mask of the pixels that count, and ``limit`` the limit of a pixel's difference."""
         height, width = counts.shape
         step = max(_STRIP // width // BLOCK, 1) * BLOCK
         rows = [slice(top, min(top + step, height)) for top in range(0, height, step)]
@@ -631,6 +602,6 @@ def _faded(a: Float, b: Float) -> Mask:
     range of the neighbourhood in the other image."""
     changed = (a >= 0.5) != (b >= 0.5)
     for x, y in ((a, b), (b, a)):
-        low, high = (filtered(x, choose) for choose in (np.minimum, np.maximum))
-        changed |= (y - high > FADED) | (low - y > FADED)
+        changed |= y - filtered(x, np.maximum) > FADED
+        changed |= filtered(x, np.minimum) - y > FADED
     return np.asarray(changed)

@@ -22,11 +22,10 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.passes import Draw, Order, Pass, Target
-from facerender.drawing.program import ENVIRONMENT_MAP
-from facerender.drawing.resources import Canvas, CompiledProgram, Resources, Uploaded, read
+from facerender.drawing.program import ENVIRONMENT_MAP, Draw, Order, Pass, Target
+from facerender.drawing.resources import OF_TABLE, Canvas, CompiledProgram, Resources, Uploaded
 from facerender.mesh.mesh import Mesh
-from facerender.mesh.setup import Area, TriangleSetup, areas_of
+from facerender.mesh.part import Area, TriangleSetup, areas_of
 from facerender.scene.view import View
 
 if TYPE_CHECKING:
@@ -44,7 +43,6 @@ _STATES = {
     "marked": (_ALL, False, "=="),
     "visible": (_ALL, False, "1"),
 }
-_OF_TABLE = "marked", "visible"  # draws that read a triangle table
 _UNKNOWN = (None,) * 5
 _FAR_CORNERS = np.array([[-1, -1, 1, 1], [1, -1, 1, 1], [-1, 1, 1, 1]], dtype=float)
 
@@ -58,8 +56,7 @@ class _Call:
 
     part : index of the part; -1 for none
     order : name of the order, if the triangles depend on the view
-    bounds : key of the view's bounds to draw; None for a fixed area
-    area : fixed area
+    area : rectangle to draw, or the key of the view's bounds
     state : write masks, depth test, enabled capabilities and blend function
     count : number of vertices; -1 for all
     covers : whether alpha becomes coverage
@@ -70,7 +67,6 @@ class _Call:
     array: moderngl.VertexArray
     part: int
     order: Order | None
-    bounds: int | str | None
     area: Any
     state: tuple[Any, ...]
     count: int
@@ -84,14 +80,12 @@ class _Step:
     """A pass with its OpenGL objects.
 
     single : framebuffer with one value per pixel; None if the target has no samples to resolve
-    size : width and height of the framebuffer
     blends : slice of the calls that are sorted by depth
     """
 
     source: Pass
     canvas: Canvas
     single: moderngl.Framebuffer | None
-    size: tuple[int, int]
     calls: list[_Call]
     blends: slice
 
@@ -119,14 +113,14 @@ class CompiledFrame:
         self._steps: list[_Step] = []
         self._constant: Values = []
         self._camera: dict[str, list[Any]] = {}
-        draws = [(draw.part, draw) for step in passes for draw in step.draws if draw.part]
+        draws = [(draw.part, draw) for one in passes for draw in one.draws if draw.part]
         # Parts by index; indices of parts whose triangle table is read, and by their order.
         self._parts = {part.index: part for part, _ in draws}
-        self._tables = {part.index for part, draw in draws if draw.depth in _OF_TABLE}
+        self._tables = {part.index for part, draw in draws if draw.depth in OF_TABLE}
         orders = {(p.index, draw.order) for p, draw in draws if isinstance(draw.order, str)}
         self._facing = sorted(index for index, order in orders if order == "facing")
         self._sorted = sorted(index for index, order in orders if order == "sorted")
-        used = {area for s in passes for area in (s.area, *(draw.area for draw in s.draws))}
+        used = {area for one in passes for area in (one.area, *(draw.area for draw in one.draws))}
         marked = sorted({part.index for part, draw in draws if draw.depth == "marked"})
         groups = {"blended": self._sorted, "opaque": marked}
         self._groups = {name: group for name, group in groups.items() if name in used}
@@ -135,7 +129,7 @@ class CompiledFrame:
 
     # --- compiling -------------------------------------------------------------------------------
 
-    def _compile(self, mesh: Mesh, blended: Area) -> None:
+    def _compile(self, setups: Sequence[TriangleSetup], blended: Area) -> None:
         """Look up all OpenGL objects. For errors see :meth:`draw`.
 
         blended : bounds of the blended parts
@@ -144,27 +138,25 @@ class CompiledFrame:
         textures = dict(self.inputs)
         if self.panorama is not None:
             textures[ENVIRONMENT_MAP] = resources.panorama(self.panorama)
-        area = Area(0, 0, 1, 1) if blended.empty else blended
         users: dict[CompiledProgram, list[tuple[_Call, Mapping[str, Any]]]] = {}
-        for step in self.passes:
-            target = sized(step.target, self.size)
-            canvas, single = resources.target(target, area), None
+        for render_pass in self.passes:
+            target = sized(render_pass.target, self.size)
+            canvas, single = resources.target(target, blended), None
             framebuffer = canvas.framebuffer
             calls = []
-            for draw in step.draws:
-                program = resources.program(draw.program)
-                calls.append(call := self._call(draw, step, program, mesh, textures))
-                users.setdefault(program, []).append((call, {**step.uniforms, **draw.uniforms}))
+            for draw in render_pass.draws:
+                program, uniforms = resources.program(draw.program), render_pass.uniforms
+                calls.append(call := self._call(draw, render_pass, program, setups, textures))
+                users.setdefault(program, []).append((call, {**uniforms, **draw.uniforms}))
             _bind_once(calls)
             if target.samples > 1 and target.resolved:
                 single = resources.target(replace(target, samples=1)).framebuffer
             if target.sampled:
                 images: Any = (single or framebuffer).color_attachments
-                textures |= zip((step.name, *step.others), images, strict=False)
-            orders = [draw.order if isinstance(draw.order, str) else "" for draw in step.draws]
-            sorts = [number for number, order in enumerate(orders) if order == "sorted"]
+                textures |= zip((render_pass.name, *render_pass.others), images, strict=False)
+            sorts = [index for index, call in enumerate(calls) if call.order == "sorted"]
             blends = slice(sorts[0], sorts[-1] + 1) if sorts else slice(0, 0)
-            steps.append(_Step(step, canvas, single, framebuffer.size, calls, blends))
+            steps.append(_Step(render_pass, canvas, single, calls, blends))
         self._constant, self._camera = [], {}
         for program, pairs in users.items():
             self._share(program, pairs)
@@ -173,42 +165,31 @@ class CompiledFrame:
     def _call(
         self,
         draw: Draw,
-        step: Pass,
+        render_pass: Pass,
         program: CompiledProgram,
-        mesh: Mesh,
+        setups: Sequence[TriangleSetup],
         textures: Mapping[str, moderngl.Texture],
     ) -> _Call:
         """Return the call of a draw."""
-        resources, part = self.resources, draw.part
-        screen = part is None or draw.depth in ("mark", *_OF_TABLE)
-        bound = dict(textures)
+        part, array, bound = draw.part, program.screen, dict(textures)
         if part is not None:
-            uploaded = resources.part(part, mesh.setups[part.index])
+            setup = setups[part.index]
+            uploaded, array, inputs = self.resources.part(part, draw, setup, program)
             self._uploaded[part.index] = uploaded
-            for map_ in part.maps:
-                if map_[0] in program.samplers:
-                    bound[map_[0]] = resources.texture(*map_)
-            if draw.depth in _OF_TABLE:
-                bound["triangle_table"] = resources.table(part)
-            if "selected_triangles" in program.samplers:
-                bound["selected_triangles"] = uploaded.selection()
-        array = program.screen if screen else uploaded.array(program, draw.order)
+            bound |= inputs
         blended = draw.depth == "blend"
-        flags = moderngl.DEPTH_TEST | moderngl.BLEND * (step.added or blended)
+        flags = moderngl.DEPTH_TEST | moderngl.BLEND * (render_pass.added or blended)
         flags |= moderngl.CULL_FACE * (draw.double_sided is False)
         factor = moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
         names = enumerate(program.samplers)
-        bounds: int | str | None = draw.area if isinstance(draw.area, str) else None
-        if bounds == "part" and part:
-            bounds = part.index
+        area: Any = draw.area or (0, 0, *(render_pass.target.size or self.size))
         return _Call(
             array,
             part.index if part else -1,
             draw.order if isinstance(draw.order, str) else None,
-            bounds,
-            None if bounds is not None else draw.area or (0, 0, *(step.target.size or self.size)),
+            part.index if part and area == "part" else area,
             (*_STATES[draw.depth], flags, factor),
-            3 if screen else -1,
+            3 if array is program.screen else -1,
             "TO_COVERAGE" in " ".join(draw.program.features),
             [(bound[name], unit) for unit, name in names if name in bound],
         )
@@ -247,15 +228,21 @@ class CompiledFrame:
         target or a program.
         """
         resources, setups = self.resources, mesh.setups
-        areas = self._areas(view, setups) if self._parts else {}
+        # Bounds in the image: of each part by its index, and by the names of Bounds.
+        areas: dict[Any, Area] = {}
+        if self._parts:
+            if self._bounds[0] is not setups:
+                self._bounds = setups, np.array([setup.bounds for setup in setups], dtype=float)
+            areas = areas_of(self._bounds[1], view.matrix, self.size, self._groups)
         blended = areas.get("blended") or Area()
         right, low = blended[0] + blended[2], blended[1] + blended[3]
         for step in self._steps:
-            if step.source.area is not None and (right > step.size[0] or low > step.size[1]):
+            columns, rows = step.canvas.framebuffer.size
+            if step.source.area is not None and (right > columns or low > rows):
                 self._steps = []  # the target is too small for the blended parts
                 break
         if not self._steps:
-            self._compile(mesh, blended)
+            self._compile(setups, blended)
         counts, nearest = self._upload(view, setups)
         for index in self._facing:
             if not counts[index, "facing"]:
@@ -272,7 +259,7 @@ class CompiledFrame:
         self._state, token = _UNKNOWN, mesh.token
         for step in self._steps:
             bounds, key, canvas = step.source.area, step.source.key, step.canvas
-            if bounds is not None and areas[bounds].empty:
+            if bounds is not None and not areas[bounds].width:  # nothing is blended in the image
                 continue
             if key is not None and canvas.held == (key, token):
                 continue
@@ -284,15 +271,6 @@ class CompiledFrame:
             for step in self._steps
             for index in step.source.results
         ]
-
-    def _areas(self, view: View, setups: Sequence[TriangleSetup]) -> dict[Any, Area]:
-        """Return bounds in the image: of each part by its index, and by the names of Bounds."""
-        if self._bounds[0] is not setups:
-            self._bounds = setups, np.array([setup.bounds for setup in setups], dtype=float)
-        areas: dict[Any, Area] = dict(enumerate(areas_of(self._bounds[1], view.matrix, self.size)))
-        for name, indices in self._groups.items():
-            areas[name] = Area.around([areas[index] for index in indices])
-        return areas
 
     def _upload(
         self, view: View, setups: Sequence[TriangleSetup]
@@ -318,11 +296,7 @@ class CompiledFrame:
         return counts, nearest
 
     def _replay(
-        self,
-        step: _Step,
-        areas: Mapping[Any, Area],
-        counts: _Counts,
-        nearest: Mapping[int, float],
+        self, step: _Step, areas: Mapping[Any, Area], counts: _Counts, nearest: Mapping[int, float]
     ) -> None:
         """Draw a pass into its target."""
         gl, framebuffer = self.resources.context.gl, step.canvas.framebuffer
@@ -343,52 +317,39 @@ class CompiledFrame:
         for call in calls:
             for texture, unit in call.textures:
                 texture.use(unit)
-            area = call.area if call.bounds is None else areas[call.bounds]
+            area = areas.get(call.area, call.area)
             if not (area[2] and area[3]):
                 continue
             if call.state != state:
-                self._change(framebuffer, target, state, call.state)
+                colors, depth, test, flags, factor = call.state
+                if colors is not state[0]:
+                    framebuffer.color_mask = _masks(colors, target)
+                    framebuffer.use()
+                if depth is not state[1]:
+                    framebuffer.depth_mask = depth
+                if test != state[2]:
+                    gl.depth_func = test
+                if flags != state[3]:
+                    gl.enable_only(flags)
+                if (flags, factor) != state[3:]:
+                    gl.blend_func = moderngl.ONE, factor
                 state = call.state
             if area != viewport:
                 framebuffer.viewport = viewport = area
             for uniform, data in call.uniforms:
                 uniform.write(data)
             vertices = 3 * counts[call.part, call.order] if call.order else call.count
-            if not call.covers:
-                call.array.render(vertices=vertices)
-                continue
-            for capability in _TO_COVERAGE:
+            capabilities = _TO_COVERAGE if call.covers else ()
+            for capability in capabilities:
                 gl.enable_direct(capability)
             try:
                 call.array.render(vertices=vertices)
             finally:
-                for capability in _TO_COVERAGE:
+                for capability in capabilities:
                     gl.disable_direct(capability)
         self._state = state
         if step.single:
             gl.copy_framebuffer(step.single, framebuffer)
-
-    def _change(
-        self,
-        framebuffer: moderngl.Framebuffer,
-        target: Target,
-        old: tuple[Any, ...],
-        new: tuple[Any, ...],
-    ) -> None:
-        """Change the state between two draws."""
-        gl = self.resources.context.gl
-        colors, depth, test, flags, factor = new
-        if colors is not old[0]:
-            framebuffer.color_mask = _masks(colors, target)
-            framebuffer.use()
-        if depth is not old[1]:
-            framebuffer.depth_mask = depth
-        if test != old[2]:
-            gl.depth_func = test
-        if flags != old[3]:
-            gl.enable_only(flags)
-        if (flags, factor) != old[3:]:
-            gl.blend_func = moderngl.ONE, factor
 
 
 def _masks(mask: tuple[bool, ...], target: Target) -> Any:
@@ -406,6 +367,13 @@ def _bind_once(calls: Sequence[_Call]) -> None:
         before = dict(bound)
         bound |= {unit: texture for texture, unit in call.textures}
         call.textures = [(t, unit) for t, unit in call.textures if before.get(unit) is not t]
+
+
+def read(target: moderngl.Framebuffer, index: int, channels: int) -> NDArray[np.float32]:
+    """Return an image (H, W, channels) of a framebuffer that has no multisampling."""
+    pixels = np.empty((target.height, target.width, channels), dtype=np.float32)
+    target.read_into(pixels, components=channels, attachment=index, dtype="f4")
+    return pixels
 
 
 def sized(target: Target, size: tuple[int, int]) -> Target:

@@ -206,7 +206,7 @@ STATE = (
 # Argument types of setters; others take integers.
 _FLOATS = {"glClearColor": ctypes.c_float, "glDepthRange": ctypes.c_double}
 _SWITCH = ("glDisable", "glEnable")
-_TEXTURE_0, _ACTIVE_TEXTURE, _MOST_UNITS = 0x84C0, 0x84E0, 0x8B4D
+_TEXTURE_0, _ACTIVE_TEXTURE, _MAX_UNITS = 0x84C0, 0x84E0, 0x8B4D
 # (texture target, query of the bound texture) for 2D textures and 2D multisample textures.
 _TEXTURES = ((0x0DE1, 0x8069), (0x9100, 0x9104))
 _SAMPLER_BINDING = 0x8919
@@ -235,9 +235,9 @@ def saved_state(load: Callable[[str], int]) -> Iterator[None]:
         return values[:count]
 
     def call(name: str, *arguments: float) -> None:
-        kind = _FLOATS.get(name)
-        numbers = arguments if kind else map(int, arguments)
-        function(name, *[kind or ctypes.c_int] * len(arguments))(*numbers)
+        argument_type = _FLOATS.get(name, ctypes.c_int)
+        numbers = map(int, arguments) if argument_type is ctypes.c_int else arguments
+        function(name, *[argument_type] * len(arguments))(*numbers)
 
     back: list[tuple[str, tuple[float, ...]]] = []
 
@@ -256,7 +256,7 @@ def saved_state(load: Callable[[str], int]) -> Iterator[None]:
             change(name, (*leading, *state), needed_values and leading + needed_values)
     active = state_of(_ACTIVE_TEXTURE)
     # moderngl binds each new texture to the last unit.
-    for unit in (*range(_UNITS), int(*state_of(_MOST_UNITS)) - 1):
+    for unit in (*range(_UNITS), int(*state_of(_MAX_UNITS)) - 1):
         change("glActiveTexture", (_TEXTURE_0 + unit,), (_TEXTURE_0 + unit,))
         for target, binding in _TEXTURES:
             back.append(("glBindTexture", (target, *state_of(binding))))
@@ -413,10 +413,6 @@ class Context:
         """Whether the driver is a software driver, which draws on the CPU."""
         return any(name in self.renderer.lower() for name in SOFTWARE)
 
-    def function(self, name: str, *argument_types: type, result: type | None = None) -> Any:
-        """Return an OpenGL function that moderngl does not wrap."""
-        return ctypes.CFUNCTYPE(result, *argument_types)(self.loader.load(name))
-
     @contextmanager
     def drawing(self) -> Iterator[moderngl.Context]:
         """Make the context current, for one thread at a time.
@@ -448,9 +444,15 @@ class Context:
         process may free the context."""
         return self.process != os.getpid() or isinstance(self.gl.mglo, moderngl.InvalidObject)
 
-    def release(self) -> None:
-        """Free the context, unless it is the host's or inherited. Further calls have no effect."""
+    def release(self, free: Callable[[], object] | None = None) -> None:
+        """Free the context, unless it is the host's or inherited. Further calls have no effect.
+
+        free : frees objects of the context, which is current during the call
+        """
         if not self.closed:
+            if free:
+                with self.drawing():
+                    free()
             self.gl.release()
 
 
@@ -474,7 +476,6 @@ def create_context(backend: Backend = "auto") -> Context:
 
     Raises
     ------
-    InputError : an unknown backend
     ContextError : no backend works; the message lists each backend's error, and a remedy
     """
     check_known("backend", backend, BACKENDS)
@@ -531,15 +532,14 @@ def probe() -> list[dict[str, Any]]:
     """Try the backends "egl", "osmesa" and "native"; return the properties or the error of each."""
     findings = []
     for name in BACKENDS[1:-1]:
-        values: tuple[Any, ...] = "", "", 0, 0, ""
+        finding: dict[str, Any] = {"backend": name, "renderer": "", "version": "", "samples": 0}
+        finding |= {"size": 0, "error": ""}
         try:
             context = create_context(name)
-        except ContextError as error:
-            values = *values[:-1], str(error)
-        else:
-            limits = context.most_samples, context.max_side
-            values = context.renderer, context.version, *limits, ""
+            finding |= {"renderer": context.renderer, "version": context.version}
+            finding |= {"samples": context.most_samples, "size": context.max_side}
             context.release()
-        names = "backend", "renderer", "version", "samples", "size", "error"
-        findings.append(dict(zip(names, (name, *values), strict=True)))
+        except ContextError as error:
+            finding["error"] = str(error)
+        findings.append(finding)
     return findings

@@ -16,18 +16,20 @@ from typing import IO, TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.prepare import Appearance
-from facerender.errors import InputError, check_switch, check_type, clipped, shown, warn
+from facerender.drawing.prepare import ResolvedScene, resolve
+from facerender.errors import InputError, clipped, quoted, warn
 from facerender.images.animation import arranged
 from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
 from facerender.images.image import encode_srgb8
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh
-from facerender.scene.scene import DATA, Only, Scene, check_only
+from facerender.scene.scene import DATA, Only, Scene
+from facerender.scene.shading import Shading
 from facerender.scene.view import View, hidden
 from facerender.system.files import write_bytes
+from facerender.texture.mips import Kind
 from facerender.texture.texture import Texture
-from facerender.values.ranges import EXPOSURES
+from facerender.values.fields import EXPOSURES
 from facerender.values.vectors import unit
 
 if TYPE_CHECKING:
@@ -58,27 +60,39 @@ class LazyMetadata(UserDict[str, str]):
         return LazyMetadata, (partial(dict, self.data),)
 
 
-def _mesh_metadata(mesh: Mesh) -> dict[str, str]:
-    texts = {"mesh": _mesh(mesh)}
-    for field in fields(Material):
-        values = [_used(material, field.name) for material in mesh.materials]
-        if field.name in _ALWAYS or any(value != field.default for value in values):
-            texts[field.name] = _by_part(mesh, values)
-    return texts
-
-
-def scene_metadata(scene: Scene, look: Appearance) -> dict[str, str]:
-    """Return a scene as text, without paths of files.
+def frame_metadata(
+    scene: Scene,
+    shading: Shading,
+    only: Only | None,
+    albedo: Kind,
+    shaded: ResolvedScene | None,
+    settings: dict[str, str],
+) -> dict[str, str]:
+    """Return a scene and its shading as text, without paths of files. The result keeps no renderer
+    alive.
 
     It has the keys "mesh"; the factors and maps of materials by the names of :class:`Material`,
     such as "m", unless all parts have the default; "camera", "light 0" and so on, "ambient",
     "background", "environment", "before"; and "textures": "float", or "8-bit" if an 8-bit map is
-    used. Most frames have the mesh of the frame before.
+    used. Shaded images also have the fields of :class:`Shading` that differ from the defaults, the
+    fields of the specular term, and the lobe of each part if lobes differ from the shading's.
+
+    shaded : resolved scene of shaded images
+    settings : metadata of the renderer
     """
-    mesh = scene.mesh
-    texts: dict[str, str] = {**look.draws.of("mesh", mesh.token, lambda: _mesh_metadata(mesh))}
-    texts["camera"] = repr(scene.camera)
-    texts |= {f"light {index}": repr(light) for index, light in enumerate(scene.lights)}
+    mesh, look = scene.mesh, resolve(scene, shading, albedo).appearance
+    texts = {"mesh": _mesh(mesh)}
+    for field in fields(Material):
+        values = [getattr(material, field.name) for material in mesh.materials]
+        for index, material in enumerate(mesh.materials):  # a roughness map replaces m
+            if field.name == "m" and material.roughness_map is not None:
+                values[index] = "of the roughness map"
+            if field.name == "roughness_factor" and material.roughness_map is None:
+                values[index] = field.default
+        if field.name in _ALWAYS or any(value != field.default for value in values):
+            texts[field.name] = _by_part(mesh, values)
+    names = "camera", *(f"light {index}" for index in range(len(scene.lights)))
+    texts |= zip(names, map(repr, (scene.camera, *scene.lights)), strict=True)
     texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
     if scene.environment is not None:
         name = PurePath(scene.environment.panorama.name).name
@@ -86,22 +100,20 @@ def scene_metadata(scene: Scene, look: Appearance) -> dict[str, str]:
         texts["environment"] = f"{name}, rotation {rotation}, scale {scale}"
     if scene.before is not None:
         texts["before"] = f"{_mesh(scene.before.mesh)}, {scene.before.camera!r}"
-    maps = (kind for part in look.parts for *_, kind in part.maps)
-    texts["textures"] = "float" if all(kind == "linear-color" for kind in maps) else "8-bit"
-    return {name: _limited(text) for name, text in texts.items()}
-
-
-def shading_metadata(look: Appearance, only: Only | None) -> dict[str, str]:
-    """Return the shading of an image as text: model, lobe, Fresnel and masking term, values that
-    differ from the defaults, and the lobe of each part if lobes differ from the shading's."""
-    shading = look.shading
-    texts = {key: str(value) for key, value in shading.as_dict().items()}
-    for name in ("model", "lobe", "fresnel", "masking"):
-        texts[name] = str(getattr(shading.term, name))
-    terms = look.terms if only != "diffuse" and look.lighting.shining else []
-    if any(term != shading.term for term in terms):
-        texts["lobe of each part"] = ", ".join(str(term.lobe) for term in terms)
-    return {name: _limited(text) for name, text in texts.items()}
+    is_float = all(mip_kind == "linear-color" for part in look.parts for *_, mip_kind in part.maps)
+    texts["textures"] = "float" if is_float else "8-bit"
+    if shaded and only not in DATA:
+        look = shaded.appearance
+        texts |= {key: str(value) for key, value in look.shading.as_dict().items()}
+        term = look.shading.term
+        texts |= {k: str(getattr(term, k)) for k in ("model", "lobe", "fresnel", "masking")}
+        terms = look.terms if only != "diffuse" and look.lighting.shining else []
+        if any(other != term for other in terms):
+            texts["lobe of each part"] = ", ".join(str(other.lobe) for other in terms)
+    metadata = {name: _limited(text) for name, text in texts.items()} | settings
+    if only == "parts":
+        metadata["parts"] = ", ".join(part.name for part in mesh.parts)
+    return metadata
 
 
 def _limited(text: str) -> str:
@@ -112,31 +124,24 @@ def _limited(text: str) -> str:
 
 
 def _mesh(mesh: Mesh) -> str:
-    vertices = sum(len(part.positions) for part in mesh.parts)
-    triangles = sum(len(part.faces) for part in mesh.parts)
-    checksum = zlib.crc32(str([part.checksum for part in mesh.parts]).encode())
-    size = f"{vertices} vertices, {triangles} triangles, radius {mesh.radius:.6g}"
-    unit = "" if mesh.millimetres is None else f", 1 unit = {mesh.millimetres} mm"
-    return f"{mesh.name}, {size}{unit}, CRC-32 {checksum:08x}"
-
-
-def _used(material: Material, name: str) -> Any:
-    """Return a factor or map of a material; of m and roughness_factor, only the used one."""
-    if name == "m" and material.roughness_map is not None:
-        return "of the roughness map"
-    if name == "roughness_factor" and material.roughness_map is None:
-        return Material.roughness_factor
-    return getattr(material, name)
+    geometry, parts = mesh.geometry, mesh.parts
+    vertices = sum(len(part.positions) for part in parts)
+    triangles = sum(len(part.faces) for part in parts)
+    checksum = zlib.crc32(str([part.checksum for part in parts]).encode())
+    size = f"{vertices} vertices, {triangles} triangles, radius {geometry.radius:.6g}"
+    unit = "" if geometry.millimetres is None else f", 1 unit = {geometry.millimetres} mm"
+    return f"{geometry.name}, {size}{unit}, CRC-32 {checksum:08x}"
 
 
 def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     """Return a value for each part as text, each value once: "0.3" or "0.3 (head); 0.1 (eyes)"."""
     names: dict[str, list[str]] = {}
-    for number, (part, value) in enumerate(zip(mesh.parts, values, strict=True), 1):
-        text = str(float(f"{value:.9g}")) if isinstance(value, float) else str(value)
+    for index, (part, value) in enumerate(zip(mesh.geometry.parts, values, strict=True), 1):
         if isinstance(value, Texture):
             text = "{}, {} x {}".format(PurePath(value.name).name, *value.decoded_size)
-        names.setdefault(text, []).append(part.name or f"part{number}")
+        else:
+            text = str(float(f"{value:.9g}")) if isinstance(value, float) else str(value)
+        names.setdefault(text, []).append(part.name or f"part{index}")
     if len(names) == 1:
         return next(iter(names))
     return "; ".join(f"{text} ({', '.join(part_names)})" for text, part_names in names.items())
@@ -172,8 +177,8 @@ class Frame:
     only : the term that the image shows; None for the whole image
     transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
     metadata : all parameters of the image as text: facerender's version, GL_RENDERER, GL_VERSION,
-        settings of the renderer, and the values of ``scene_metadata`` and, for shaded images,
-        ``shading_metadata`` in ``facerender/drawing/frame.py``
+        settings of the renderer, and the values of ``frame_metadata`` in
+        ``facerender/drawing/frame.py``
     """
 
     linear: NDArray[np.float32]
@@ -182,11 +187,8 @@ class Frame:
     metadata: Mapping[str, str]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.linear, np.ndarray) or self.linear.ndim != 3:
-            raise InputError(f"linear = {shown(self.linear)}: give an array (H, W, 4)")
-        check_only(self.only)
-        check_switch("transparent", self.transparent)
-        check_type("metadata", self.metadata, Mapping, "a mapping of strings")
+        if self.linear.ndim != 3:
+            raise InputError(f"linear = {quoted(self.linear)}: give an array (H, W, 4)")
 
     def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
         """Return an 8-bit image for display: (H, W, 3), or (H, W, 4) with straight alpha if
@@ -242,17 +244,15 @@ class Frame:
         InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
             is missing, or a JPEG would be transparent
         """
-        if format is not None and not (isinstance(format, str) and format in IMAGE_FORMATS):
-            raise InputError(f"format = {shown(format)}: give {', '.join(IMAGE_FORMATS)}")
+        if format is not None and format not in IMAGE_FORMATS:
+            raise InputError(f"format = {quoted(format)}: give {', '.join(IMAGE_FORMATS)}")
         EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
-            if not callable(getattr(path, "write", None)):
-                raise InputError(f"image file = {shown(path)}: give a path, or an open binary file")
             path.write(self.encoded(format or "png", exposure))
-        elif (kind := format or format_of(path)) == "exr":
+        elif (file_format := format or format_of(path)) == "exr":
             save_exr(path, self.linear, self.metadata)
         else:
-            write_bytes(path, self.encoded(kind, exposure))
+            write_bytes(path, self.encoded(file_format, exposure))
 
     def encoded(self, format: Format = "png", exposure: float = 0.0) -> bytes:
         """Return the content of an image file. For parameters and errors see :meth:`save`."""
@@ -383,8 +383,8 @@ class GBuffer:
     def position(self) -> NDArray[np.float64]:
         """(H, W, 3) float64: positions in the mesh's units, as ``Part.positions``; 0 on the
         background. Each access computes a new array."""
-        places = self.normalised_position * np.float64(self.space[3]) + self.space[:3]
-        return np.where(self.part[..., None] >= 0, places, 0.0)
+        positions = self.normalised_position * np.float64(self.space[3]) + self.space[:3]
+        return np.where(self.part[..., None] >= 0, positions, 0.0)
 
     @property
     def coverage(self) -> NDArray[np.float64]:

@@ -21,9 +21,9 @@ from facerender.scene.view import View
 from facerender.values.vectors import Vector
 
 _MARGIN = 3  # pixels around the undistorted image: the reach of a cubic filter, and a tap's offset
-_AT_ONCE = 1 << 15  # pixels per step, so that temporary arrays stay in the CPU's cache
-_MOST_TAPS = 8  # largest number of taps per side of a pixel
-_LARGEST = 16384  # largest width and height of an undistorted image
+_BLOCK = 1 << 15  # pixels per step, so that temporary arrays stay in the CPU's cache
+_MAX_TAPS = 8  # largest number of taps per side of a pixel
+_MAX_SIDE = 16384  # largest width and height of an undistorted image
 
 Intrinsics = tuple[Vector, Vector, Vector]
 
@@ -35,7 +35,7 @@ class Lens:
         image and resolves it at least as finely
     intrinsics : matrix K of the undistorted image
     focal : (fx, fy) of the distorted image in its pixels
-    places : (H * W, 2) float32, position of each pixel's centre in the undistorted image
+    positions : (H * W, 2) float32, position of each pixel's centre in the undistorted image
     taps : (H * W,) uint8, taps per side of each pixel
     """
 
@@ -49,34 +49,34 @@ class Lens:
         scale, k = np.divide(size, camera_size), np.array(intrinsics)
         focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
         count, finest = math.prod(size), math.inf
-        places = np.empty((count, 2))
-        spread = np.empty(count)  # largest extent of a pixel, in pixels of the same focal
+        positions = np.empty((count, 2))
+        footprint = np.empty(count)  # largest extent of a pixel, in pixels of the same focal
         for pixels in _in_steps(np.arange(count)):
             centres = np.stack(np.divmod(pixels, size[0])[::-1], axis=-1) + 0.5
             flat = undistort((centres - middle) / focal, coefficients)
-            places[pixels] = flat * focal
-            least, most = _singular(jacobian(flat, coefficients) * focal[:, None] / focal)
-            spread[pixels], finest = 1.0 / least, min(finest, 1.0 / float(most.max()))
-        if np.isnan(places).any():
+            positions[pixels] = flat * focal
+            smallest, largest = _singular(jacobian(flat, coefficients) * focal[:, None] / focal)
+            footprint[pixels], finest = 1.0 / smallest, min(finest, 1.0 / float(largest.max()))
+        if np.isnan(positions).any():
             raise InputError(f"camera distortion = {coefficients} is not invertible in the image")
-        places /= finest
-        spread /= finest
-        low, high = np.floor(places.min(axis=0)), np.ceil(places.max(axis=0))
-        reach = _MARGIN + math.ceil(min(spread.max(), _LARGEST))
+        positions /= finest
+        footprint /= finest
+        low, high = np.floor(positions.min(axis=0)), np.ceil(positions.max(axis=0))
+        reach = _MARGIN + math.ceil(min(footprint.max(), _MAX_SIDE))
         width, height = (high - low).astype(int).tolist()
         self.wide = width + 2 * reach, height + 2 * reach
-        if max(self.wide) > _LARGEST:
+        if max(self.wide) > _MAX_SIDE:
             raise InputError(
                 f"camera distortion = {coefficients} needs an undistorted image of "
-                f"{self.wide[0]} x {self.wide[1]} pixels, but the limit is {_LARGEST} a side: give "
-                "a smaller size"
+                f"{self.wide[0]} x {self.wide[1]} pixels, but the limit is {_MAX_SIDE} a side: "
+                "give a smaller size"
             )
         (fx, fy), (cx, cy) = (focal / finest).tolist(), (reach - low).tolist()
         self.intrinsics: Intrinsics = (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
         self.size, self.coefficients, self.focal = size, coefficients, focal
-        places -= low - reach
-        self.places = places.astype(np.float32)
-        self.taps = np.clip(np.round(spread), 1, _MOST_TAPS).astype(np.uint8)
+        positions -= low - reach
+        self.positions = positions.astype(np.float32)
+        self.taps = np.clip(np.round(footprint), 1, _MAX_TAPS).astype(np.uint8)
 
     def undistorted(self, scene: Scene) -> Scene:
         """Return the scene with the camera of the undistorted image."""
@@ -92,8 +92,8 @@ class Lens:
         for count in np.unique(self.taps):
             for pixels in _in_steps(np.flatnonzero(self.taps == count)):
                 total = np.zeros((len(pixels), 4), dtype=np.float32)
-                for place in self._tap_places(pixels, int(count)):
-                    total += _interpolated(image, place)
+                for taps in self._tap_positions(pixels, int(count)):
+                    total += _interpolated(image, taps)
                 distorted[pixels] = total / np.float32(count * count)
         return distorted.reshape(height, width, 4)
 
@@ -110,25 +110,25 @@ class Lens:
 
     def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return the value of the nearest pixel of an undistorted image for each pixel."""
-        columns, rows = self.places.astype(np.intp).T
+        columns, rows = self.positions.astype(np.intp).T
         flat = image.reshape(math.prod(self.wide), *image.shape[2:])
         values = flat[rows * self.wide[0] + columns]
         return np.asarray(values.reshape(*self.size[::-1], *image.shape[2:]))
 
-    def _tap_places(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
+    def _tap_positions(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
         """Yield positions (N, 2) in the undistorted image: count x count per pixel."""
-        places = self.places[pixels]
+        positions = self.positions[pixels]
         if count == 1:
-            yield places
+            yield positions
             return
         k = np.array(self.intrinsics)
         focal = k[[0, 1], [0, 1]]
-        slopes = jacobian((places - k[:2, 2]) / focal, self.coefficients)
+        slopes = jacobian((positions - k[:2, 2]) / focal, self.coefficients)
         steps = np.linalg.inv(slopes * self.focal[:, None] / focal)
         offsets = (np.arange(count) + 0.5) / count - 0.5
         for y in offsets:
             for x in offsets:
-                yield places + (steps @ np.array([x, y])).astype(np.float32)
+                yield positions + (steps @ np.array([x, y])).astype(np.float32)
 
 
 def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
@@ -140,7 +140,7 @@ _lens = lru_cache(maxsize=1)(Lens)
 
 
 def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
-    return (pixels[start : start + _AT_ONCE] for start in range(0, len(pixels), _AT_ONCE))
+    return (pixels[start : start + _BLOCK] for start in range(0, len(pixels), _BLOCK))
 
 
 def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -151,7 +151,9 @@ def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return (total - difference) / 2.0, (total + difference) / 2.0
 
 
-def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> NDArray[np.float32]:
+def _interpolated(
+    image: NDArray[np.float32], positions: NDArray[np.float32]
+) -> NDArray[np.float32]:
     """Return the values (N, 4) of an image (H, W, 4) at positions (N, 2), by Catmull-Rom filters.
 
     Each value is limited to the range of the nearest 2 x 2 pixels: edges get no halos. If one of
@@ -160,14 +162,14 @@ def _interpolated(image: NDArray[np.float32], places: NDArray[np.float32]) -> ND
 
     Source: Keys (1981), "Cubic convolution interpolation for digital image processing".
     """
-    origins = np.floor(places - 0.5)
-    fractions = places - 0.5 - origins
+    origins = np.floor(positions - 0.5)
+    fractions = positions - 0.5 - origins
     x, y = (_weights(fraction) for fraction in fractions.T)
     columns, rows = origins.astype(np.intp).T - 1
     # Each entry holds four neighbours of a row.
     runs = as_strided(image, (len(image), image.shape[1] - 3, 16), (*image.strides[:2], 4))
     lines = [runs[rows + number, columns].reshape(-1, 4, 4) for number in range(4)]
-    total = np.zeros((len(places), 4), dtype=np.float32)
+    total = np.zeros((len(positions), 4), dtype=np.float32)
     for weight, line in zip(y.T, lines, strict=True):
         total += weight[:, None] * np.einsum("nk,nkc->nc", x, line)
     near = [line[:, column] for line in lines[1:3] for column in (1, 2)]

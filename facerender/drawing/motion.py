@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.drawing.data_passes import INDEX_BASE
+from facerender.drawing.frame_passes import INDEX_BASE
 from facerender.drawing.prepare import ResolvedPart
 from facerender.errors import InputError
 from facerender.scene.scene import Scene
@@ -69,16 +69,15 @@ def motion_vectors(
     texels = triangles.reshape(-1, 4)
     image = np.zeros_like(texels)
     covered = np.flatnonzero(texels[:, 0])
-    part_numbers = texels[covered, 0]
     for resolved_part in parts:
-        number = resolved_part.index
-        pixels = covered[part_numbers == number + 1]
+        part_index = resolved_part.index
+        pixels = covered[texels[covered, 0] == part_index + 1]
         if not len(pixels):
             continue
         index = (texels[pixels, 1] * INDEX_BASE + texels[pixels, 2]).astype(np.int64)
         if resolved_part.material.double_sided is False:
-            index = scene.mesh.setups[number].facing(flat.position)[index]
-        part, old_part = (frame.mesh.parts[number] for frame in (scene, before))
+            index = scene.mesh.setups[part_index].facing(flat.position)[index]
+        part, old_part = (frame.mesh.parts[part_index] for frame in (scene, before))
         visible, index = _unique(index, len(part.faces))
         corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))
         weights = _weights(flat, scene.mesh.normalised(corners), index, rays[pixels])

@@ -7,8 +7,7 @@ and ``pricing`` use the same result.
 
 m is the first of these values that exists: the constant m of the shading's term (``Term.m``), then
 (roughness factor times roughness map)^2, then ``Material.m``. ``simplify`` replaces the material's
-m if the shading's term has a constant m. ``Term.slope`` resolves m for a term, and
-``mesh.mesh.base_slope`` for a part."""
+m if the shading's term has a constant m. ``Term.slope`` resolves m for a term."""
 
 from __future__ import annotations
 
@@ -24,10 +23,9 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
-from facerender.mesh.geometry import Latest
 from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha, slope_range
 from facerender.mesh.part import Part, Space
-from facerender.scene.light import Light, LightSpace, disc_of, light_space
+from facerender.scene.light import Light, LightKind, LightSpace, disc_of, light_space
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
 from facerender.scene.view import View, levels_to_spare
@@ -62,30 +60,28 @@ class Lighting:
     without shadows first).
 
     order : for each sorted light, its index in the scene
+    by_type : the sorted lights by their entry in LIGHT_KINDS
+    shining : number of lights with a specular term
+    shadowed : indices of the scene's lights that cast shadows, in the order of their shadow maps
     """
 
     def __init__(self, scene: Scene, shading: Shading) -> None:
+        lights, types = scene.lights, [light.kind for light in scene.lights]
         keys = [
-            (light.kind.name, not shading.shines(index), light.shadow)
-            for index, light in enumerate(scene.lights)
+            (light_type.name, not shading.shines(index), light.shadow)
+            for index, (light, light_type) in enumerate(zip(lights, types, strict=True))
         ]
         groups, maps = [], 0
-        for (kind, without_term, shadow), count in sorted(Counter(keys).items()):
-            groups.append(LightGroup(kind, not without_term, count, maps if shadow else None))
+        for (name, without_term, shadow), count in sorted(Counter(keys).items()):
+            groups.append(LightGroup(name, not without_term, count, maps if shadow else None))
             maps += count * shadow
         self.groups, self.order = tuple(groups), sorted(range(len(keys)), key=keys.__getitem__)
-        self.lights = [scene.lights[index] for index in self.order]
-
-    @property
-    def shining(self) -> int:
-        """Number of lights with a specular term."""
-        return sum(group.count for group in self.groups if group.specular)
-
-    @property
-    def shadowed(self) -> tuple[int, ...]:
-        """Indices of the scene's lights that cast shadows, in the order of their shadow maps."""
-        lights = zip(self.order, self.lights, strict=True)
-        return tuple(index for index, light in lights if light.shadow)
+        self.lights = [lights[index] for index in self.order]
+        self.by_type: dict[LightKind, list[Light]] = {}
+        for index in self.order:
+            self.by_type.setdefault(types[index], []).append(lights[index])
+        self.shining = sum(group.count for group in groups if group.specular)
+        self.shadowed = tuple(index for index in self.order if lights[index].shadow)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,14 +91,18 @@ class ResolvedPart:
     part : the part in the reference pose
     material : material without the features that the shading leaves out
     alpha : see :func:`facerender.mesh.mesh.drawn_alpha`
+    slope : m of the first lobe, or the factor that maps squared roughness texels to m
     maps : uniform name, texture and kind of mip chain of each map
+    second : names of these maps that use the second texture coordinates
     """
 
     index: int
     part: Part
     material: Material
     alpha: Alpha
+    slope: float
     maps: list[tuple[str, Texture, Kind]]
+    second: tuple[str, ...]
 
 
 def resolved_parts(
@@ -113,34 +113,28 @@ def resolved_parts(
     albedo : kind of mip chain of colour maps: "color" or "linear-color"
     slope_filter : whether the normal map's mip chain stores the standard deviation of the slopes
     """
-    pairs = enumerate(zip(mesh.geometry.parts, mesh.materials, strict=True))
-    return tuple(
-        ResolvedPart(i, *pair, drawn_alpha(*pair), _maps(*pair, albedo, slope_filter))
-        for i, pair in pairs
-    )
-
-
-def _maps(
-    part: Part, material: Material, albedo: Kind, slope_filter: bool
-) -> list[tuple[str, Texture, Kind]]:
-    if part.uv is None:
-        return []
-    candidates: list[tuple[str, Texture | None, Kind]] = [
-        ("albedo_map", material.albedo_map, albedo),
-        ("normal_map", material.normal_map, "normal" if slope_filter else "data"),
-        ("property_map", material.property_map, "data"),
-        ("lobe_map", material.lobe_map if material.two_lobes else None, "data"),
-        ("opacity_map", None if material.alpha == "opaque" else material.opacity_map, "data"),
-        ("emissive_map", material.emissive_map if any(material.emissive) else None, albedo),
-    ]
-    if not material.packs:
-        apart = zip(PROPERTY_MAPS, material.properties, strict=True)
-        candidates += [(name, texture, "data") for name, texture in apart]
-    return [
-        (name, texture, kind)
-        for name, texture, kind in candidates
-        if texture is not None and coordinates(part, material, name) is not None
-    ]
+    resolved = []
+    for index, (part, mat) in enumerate(zip(mesh.geometry.parts, mesh.materials, strict=True)):
+        candidates: list[tuple[str, Texture | None, Kind]] = [
+            ("albedo_map", mat.albedo_map, albedo),
+            ("normal_map", mat.normal_map, "normal" if slope_filter else "data"),
+            ("property_map", mat.property_map, "data"),
+            ("lobe_map", mat.lobe_map if mat.two_lobes else None, "data"),
+            ("opacity_map", None if mat.alpha == "opaque" else mat.opacity_map, "data"),
+            ("emissive_map", mat.emissive_map if any(mat.emissive) else None, albedo),
+        ]
+        if not mat.packs:
+            candidates += [(name, getattr(mat, name), "data") for name in PROPERTY_MAPS]
+        maps, second = [], []
+        for name, texture, mip_kind in candidates if part.uv is not None else ():
+            if texture is not None and (uv := coordinates(part, mat, name)) is not None:
+                maps.append((name, texture, mip_kind))
+                second += [name] if uv is part.uv2 else []
+        mapped = mat.roughness_map and coordinates(part, mat, "roughness_map") is not None
+        slope = mat.roughness_factor**2 if mapped else mat.m
+        alpha = drawn_alpha(part, mat)
+        resolved.append(ResolvedPart(index, part, mat, alpha, slope, maps, tuple(second)))
+    return tuple(resolved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +146,6 @@ class Appearance:
 
     materials, lights, ambient, environment, space : of the simplified scene
     changed : names of the fields of the scene that the simplified scene changes
-    draws : results that frames derive from the appearance, by name
     token : value that no other appearance has
     """
 
@@ -165,7 +158,6 @@ class Appearance:
     lighting: Lighting
     parts: tuple[ResolvedPart, ...]
     changed: tuple[str, ...]
-    draws: Latest = field(default_factory=Latest)
     token: object = field(default_factory=object)
 
     @classmethod
@@ -217,9 +209,9 @@ class Appearance:
         return [part for part in self.parts if part.alpha != "blend"]
 
     @cached_property
-    def refracts(self) -> bool:
-        """Whether a part refracts light."""
-        return any(material.refracts for material in self.materials)
+    def blended(self) -> list[ResolvedPart]:
+        """The blended parts."""
+        return [part for part in self.parts if part.alpha == "blend"]
 
     @cached_property
     def scatters(self) -> bool:
@@ -234,14 +226,9 @@ class Appearance:
             for part in self.parts
             for name in MAPS
             if (texture := getattr(part.material, name)) is not None
-            and math.prod(texture.size) > LARGE
+            and _texels(texture) > LARGE
             and (uv := coordinates(part.part, part.material, name)) is not None
         ]
-
-    @cached_property
-    def blended(self) -> list[ResolvedPart]:
-        """The blended parts."""
-        return [part for part in self.parts if part.alpha == "blend"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,9 +239,9 @@ class ResolvedScene:
     appearance: Appearance
 
 
-def appearance_of(scene: Scene, shading: Shading, albedo: Kind = "color") -> Appearance:
-    """Return the appearance of a scene without the features that the shading leaves out. For errors
-    see :func:`simplify`.
+def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
+    """Return a scene without the features that the shading leaves out, and its appearance. For
+    errors see :func:`simplify`.
 
     The geometry owns its recent appearances, because consecutive frames mostly differ in the camera
     or in the pose, and measurements alternate between few shadings.
@@ -262,25 +249,17 @@ def appearance_of(scene: Scene, shading: Shading, albedo: Kind = "color") -> App
     mesh = scene.mesh
     light = scene.lights, scene.ambient, scene.environment
     key = mesh.materials, *light, mesh.space, shading, albedo
-    recent = mesh.geometry.derived.setdefault("appearances", [])
-    look: Appearance
-    for other, look in recent:
-        if other == key:
-            return look
-    simple = simplify(scene, shading)
-    names = "mesh", "lights", "ambient", "environment"
-    changed = tuple(n for n in names if getattr(simple, n) is not getattr(scene, n))
-    look = Appearance.of(simple, shading, albedo, changed)
-    # Appearances with other images would keep these images in memory.
-    images = _images(mesh.materials)
-    others = [pair for pair in recent if _images(pair[0][0]) == images]
-    recent[:] = [(key, look), *others[: _MOST_RECENT - 1]]
-    return look
-
-
-def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
-    """Return a simplified scene with its appearance; see :func:`appearance_of`."""
-    mesh, look = scene.mesh, appearance_of(scene, shading, albedo)
+    recent: list[Any] = mesh.geometry.derived.setdefault("appearances", [])
+    look: Appearance | None = next((look for other, look in recent if other == key), None)
+    if look is None:
+        simple = simplify(scene, shading)
+        names = "mesh", "lights", "ambient", "environment"
+        changed = tuple(n for n in names if getattr(simple, n) is not getattr(scene, n))
+        look = Appearance.of(simple, shading, albedo, changed)
+        # Appearances with other images would keep these images in memory.
+        images = _images(mesh.materials)
+        others = [pair for pair in recent if _images(pair[0][0]) == images]
+        recent[:] = [(key, look), *others[: _MAX_RECENT - 1]]
     changes: dict[str, Any] = {name: getattr(look, name) for name in look.changed if name != "mesh"}
     if "mesh" in look.changed:
         changes["mesh"] = replace(mesh, materials=look.materials)
@@ -292,7 +271,7 @@ def _images(materials: tuple[Material, ...]) -> set[object]:
     return {texture.image for texture in textures if texture is not None}
 
 
-_MOST_RECENT = 4
+_MAX_RECENT = 4
 # Bytes of memory, measured on llvmpipe: package and context, all programs; then per triangle, per
 # pixel and per sample.
 _ALWAYS, _PROGRAMS = 110 * MIB, 90 * MIB
@@ -341,8 +320,6 @@ def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotro
     anisotropy : maximum anisotropy of texture filtering
     """
     scene, large = resolved.scene, resolved.appearance.large_maps
-    if not large:
-        return scene
     levels: dict[Any, int] = {}
     spared: dict[Texture, int] = {}
     for part, _, texture, uv in large:
@@ -365,9 +342,13 @@ def start_maps(parts: Iterable[ResolvedPart]) -> None:
     """Start to decode the maps of parts in threads, before the renderer needs them. Large maps are
     skipped, since the renderer may reduce them."""
     for part in parts:
-        for _, texture, kind in part.maps:
-            if not texture.coarse and math.prod(texture.size) <= LARGE:
-                texture.levels(kind)
+        for _, texture, mip_kind in part.maps:
+            if not texture.coarse and _texels(texture) <= LARGE:
+                texture.levels(mip_kind)
+
+
+def _texels(texture: Texture) -> int:
+    return math.prod(texture.size)
 
 
 def check_memory(
@@ -379,12 +360,12 @@ def check_memory(
     samples : samples per pixel that the driver draws at once
     most : limit of the process's memory in MiB; None for the free memory of the system
     """
-    mesh = resolved.scene.mesh
+    geometry = resolved.scene.mesh.geometry
     maps = {map_[1:] for part in resolved.appearance.parts for map_ in part.maps}
-    resident = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in mesh.parts))
+    resident = _ALWAYS + _OF_TRIANGLE * float(sum(len(part.faces) for part in geometry.parts))
     decoding = 0.0
-    for texture, kind in maps:
-        chain = math.prod(texture.size) * (8 if kind == "linear-color" else 4) * 4.0 / 3.0
+    for texture, mip_kind in maps:
+        chain = _texels(texture) * (8 if mip_kind == "linear-color" else 4) * 4.0 / 3.0
         image = 4.0 * math.prod(texture.decoded_size)
         resident += chain if texture.coarse else 2.0 * chain
         decoding = max(decoding, image if texture.coarse else 2.0 * image + 0.25 * chain)
@@ -392,6 +373,6 @@ def check_memory(
     needed = (resident + max(decoding, drawing)) / MIB
     if needed > (free := limit(most)):
         raise InputError(
-            f"{mesh.name} at {size[0]} x {size[1]} with {samples} samples needs about "
+            f"{geometry.name} at {size[0]} x {size[1]} with {samples} samples needs about "
             f"{needed:.0f} MiB of {free:.0f}: give a smaller size, fewer samples or smaller maps"
         )

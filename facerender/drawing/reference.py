@@ -20,6 +20,8 @@ from facerender.terms.environment import (
     cook_torrance_albedo,
     cook_torrance_albedo_mean,
     diffuse_coupled,
+    environment_irradiance,
+    reflected,
 )
 from facerender.terms.model import cosine_disc, dot, slope_filtered, slope_variance_disc
 from facerender.values.vectors import unit
@@ -101,14 +103,14 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
     (received, albedo), size = terms.scattering, gbuffer.part.shape[::-1]
     if (scattering := scattering_of(simplify(scene, shading), gbuffer.view, size)) is None:
         return change
-    number = np.array([*scattering.numbers, 0])[gbuffer.part]
-    place, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
+    profile = np.array([*scattering.numbers, 0])[gbuffer.part]
+    position, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(scattering.profiles, 1):
-        pixels = number == index
-        depth = (place[pixels] - gbuffer.view.position) @ gbuffer.view.forward
+        pixels = profile == index
+        depth = (position[pixels] - gbuffer.view.position) @ gbuffer.view.forward
         scale = scattering.pixels / (depth * scattering.millimetres)
         light = scatter(
-            received, place, number, area, pixels,
+            received, position, profile, area, pixels,
             scale=scale, unit=scattering.millimetres, gaussians=gaussians,
             samples=shading.scatter_samples,
         )  # fmt: skip
@@ -237,8 +239,6 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     image = np.zeros(gbuffer.normalised_position.shape)
     if scene.environment is None:
         return image
-    from facerender.terms.environment import environment_irradiance, reflected
-
     panorama, turn = scene.environment.panorama, scene.environment.turn
     samples, term = shading.environment_samples, replace(shading.term, lobe="exact", m=None)
     for pixels in _parts(gbuffer, scene, shading.term):

@@ -16,17 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
+from facerender.drawing import frame_passes, prepare
 from facerender.drawing.compiled import CompiledFrame, sized
 from facerender.drawing.context import Backend, create_context
-from facerender.drawing.data_passes import (
-    PLANES,
-    Layer,
-    fraction_passes,
-    plane_passes,
-    surface_images,
-    surface_passes,
-    triangle_pass,
-)
 from facerender.drawing.frame import (
     PLANES_OF,
     Frame,
@@ -34,70 +26,35 @@ from facerender.drawing.frame import (
     LazyMetadata,
     check_images,
     data_image,
+    frame_metadata,
     in_order,
-    scene_metadata,
-    shading_metadata,
 )
-from facerender.drawing.frame_passes import (
-    Structure,
-    can_defer,
-    deferred_is_cheaper,
-    image_passes,
-)
-from facerender.drawing.motion import check_before, motion_vectors, pixel_centres
-from facerender.drawing.passes import Pass, Target
-from facerender.drawing.prepare import (
-    Appearance,
-    ResolvedPart,
-    ResolvedScene,
-    appearance_of,
-    check_memory,
-    reduced,
-    resolve,
-    resolved_parts,
-    start_maps,
-)
-from facerender.drawing.resources import Resources, free, free_dropped
-from facerender.drawing.shadows import shadow_texels
-from facerender.errors import (
-    ContextError,
-    check_known,
-    check_switch,
-    check_type,
-    clipped,
-    each_of,
-)
+from facerender.drawing.frame_passes import Layer, Structure
+from facerender.drawing.maps import Maps
+from facerender.drawing.prepare import Appearance, ResolvedPart, ResolvedScene
+from facerender.drawing.program import Pass, Target
+from facerender.drawing.resources import Resources, free_dropped
+from facerender.errors import ContextError, check_known, clipped
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
-from facerender.mesh.mesh import Mesh, blends_only, drawn_alpha
+from facerender.mesh.mesh import Mesh, drawn_alpha
 from facerender.scene.camera import Camera
 from facerender.scene.environment import EnvironmentSource
-from facerender.scene.file import ImageSettings
-from facerender.scene.job import Job
-from facerender.scene.landmarks import Landmarks, located
+from facerender.scene.job import ImageSettings, Job
 from facerender.scene.light import Light
-from facerender.scene.scattering import scattering_of
-from facerender.scene.scene import (
-    DATA,
-    ONLY,
-    Only,
-    Scene,
-    ShadingRate,
-    check_only,
-    check_shading_rate,
-)
+from facerender.scene.scene import DATA, ONLY, SHADING_RATES, Only, Scene, ShadingRate
 from facerender.scene.shading import Shading
 from facerender.scene.view import View, sample_grid, view_of
 from facerender.terms import AnyLobe
 from facerender.texture.mips import Kind
-from facerender.values.ranges import MEMORY, ranges_of
+from facerender.values.fields import MEMORY
 from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:
     from facerender.drawing.lens import Lens
+    from facerender.scene.landmarks import Landmarks
 
-_LIMITS = ranges_of(ImageSettings)
-_MOST_FRAMES = 8  # compiled frames of an appearance
+_MAX_FRAMES = 8  # compiled frames of an appearance
 _DATA_SAMPLES = 4  # the planes of all data images need the memory of an image with four samples
 
 
@@ -131,7 +88,6 @@ class Renderer:
 
     Raises
     ------
-    InputError : a value outside its domain
     ContextError : no OpenGL context is available, or the driver does not support the size
     """
 
@@ -147,19 +103,18 @@ class Renderer:
         alpha_threshold: float = 0.5,
         memory: float | None = None,
     ) -> None:
-        self.size = _LIMITS["size"].check("size", size)
-        self.samples = _LIMITS["samples"].check("samples", samples)
-        _LIMITS["anisotropy"].check("anisotropy", anisotropy)
-        _LIMITS["alpha_threshold"].check("alpha_threshold", alpha_threshold)
-        for name, value in (("float_albedo", float_albedo), ("full_maps", full_maps)):
-            check_switch(name, value)
-        # Depth peeling reads the target of the previous layer: other threads must not change it.
-        self._layer_lock = threading.Lock()
+        width_height: Any = size  # one number stands for both
+        image = ImageSettings(
+            width_height, samples, anisotropy, float_albedo, full_maps, alpha_threshold
+        )
         if memory is not None:
             MEMORY.check("memory", memory)
-        self.anisotropy, self.full_maps, self.memory = anisotropy, full_maps, memory
-        self.alpha_threshold = alpha_threshold
-        self.albedo_kind: Kind = "linear-color" if float_albedo else "color"
+        self.size, self.samples, self.memory = image.size, image.samples, memory
+        self.anisotropy, self.full_maps = image.anisotropy, image.full_maps
+        self.alpha_threshold = image.alpha_threshold
+        self.albedo_kind: Kind = "linear-color" if image.float_albedo else "color"
+        # Depth peeling reads the target of the previous layer: other threads must not change it.
+        self._layer_lock = threading.Lock()
         # Appearances, and their samples at once, that fit in memory.
         self._checked: WeakKeyDictionary[Appearance, int] = WeakKeyDictionary()
         # A renderer of another size, for undistorted images.
@@ -184,7 +139,6 @@ class Renderer:
     @classmethod
     def of(cls, job: Job, backend: Backend = "auto", memory: float | None = None) -> Renderer:
         """Return a renderer for the image settings of a job; see :class:`Renderer`."""
-        check_type("job", job, Job, "a facerender.Job")
         return cls(**vars(job.image), backend=backend, memory=memory)
 
     def __enter__(self) -> Renderer:
@@ -198,9 +152,7 @@ class Renderer:
 
         Further calls have no effect, nor do calls in a process forked from the renderer's process.
         """
-        if self.context.closed:
-            return
-        free(self._resources)
+        self.context.release(self._resources.release)
         self._free.detach()
 
     def __repr__(self) -> str:
@@ -255,8 +207,6 @@ class Renderer:
             part is below ``alpha_threshold`` everywhere, for data images. A hint of
             :mod:`facerender.mesh.hints`. The last two are emitted once for each mesh
         """
-        check_type("only", only, str | None, f"one of {', '.join(ONLY)}")
-        check_only(only)
         name = only or "image"
         return self.render_outputs(scene, (name,), shading, samples, shading_rate)[name]
 
@@ -280,13 +230,11 @@ class Renderer:
         -------
         frames by output, in the order of the outputs
         """
-        _check_scene(scene, shading)
-        check_shading_rate("shading_rate", shading_rate)
-        several = (outputs,) if isinstance(outputs, str) else outputs
-        names = each_of("outputs", several, str, f"some of image, {', '.join(ONLY)}")
+        check_known("shading rate", shading_rate, SHADING_RATES)
+        names = (outputs,) if isinstance(outputs, str) else tuple(outputs)
         for name in names:
             check_known("output", name, ("image", *ONLY))
-        samples = self.samples if samples is None else _LIMITS["samples"].check("samples", samples)
+        samples = self.samples if samples is None else ImageSettings(samples=samples).samples
         if shading_rate == "pixel" and not self.can_shade_per_pixel(scene, samples, shading):
             shading_rate = "sample"
         images, shaded = self._images(scene, shading, names, samples, shading_rate)
@@ -305,9 +253,8 @@ class Renderer:
                 threshold = str(self.alpha_threshold)
                 settings = {"samples": "1", "only": name, "alpha_threshold": threshold}
             arguments = scene if name == "motion" else still, shading, only, self.albedo_kind
-            metadata = LazyMetadata(
-                partial(_metadata, *arguments, shaded, self.metadata | settings)
-            )
+            make = partial(frame_metadata, *arguments, shaded, self.metadata | settings)
+            metadata = LazyMetadata(make)
             frames[name] = Frame(images[name], only, scene.background is None, metadata)
         return frames
 
@@ -322,14 +269,15 @@ class Renderer:
         """Return the linear images (H, W, 4) of outputs except motion, by name; and the resolved
         scene of shaded images, None without such an image. See :meth:`render_outputs`."""
         view, images, resolved = view_of(scene, self.size[0] / self.size[1]), {}, None
-        if lens := _lens(scene, self.size):
-            wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        lens, wide, flat = self._undistorted(scene)
+        if lens:
             flat_images, resolved = wide._images(flat, shading, outputs, samples, rate)
             for name, image in flat_images.items():
                 images[name] = (lens.nearest_values if name in DATA else lens.filtered)(image)
             return images, resolved
         data: list[Any] = [name for name in DATA if name in outputs and name != "motion"]
-        names = tuple(name for name in PLANES if any(name in PLANES_OF[only] for only in data))
+        planes_of = {plane for only in data for plane in PLANES_OF[only]}
+        names = tuple(plane for plane in frame_passes.PLANES if plane in planes_of)
         planes: dict[str, NDArray[np.float32]] = {}
         for name in outputs:
             if name in DATA:
@@ -341,27 +289,22 @@ class Renderer:
             images[name], *arrays = self._radiance(of, resolved, view, only, together)
             planes |= zip(names, arrays, strict=False)
         if names and not planes:
-            unlit, of = self._for_data(scene, shading.replace(shadow_lights=()), view)
-            make = partial(plane_passes, of, names, image=False)
-            arrays = self._draw("data", unlit, (of.key, names), make, view)
-            planes = dict(zip(names, arrays, strict=True))
+            of = self._for_data(scene, shading.replace(shadow_lights=()), view)
+            make = partial(frame_passes.plane_passes, of, names, image=False)
+            planes = dict(zip(names, self._draw("data", of, names, make, view), strict=True))
         if "visibility" in data:
             first = next((i for i, light in enumerate(scene.lights) if light.shadow), None)
-            resolved_data, of = self._for_data(scene, shading, view)
+            of = self._for_data(scene, shading, view)
             if first in (shadowed := of.look.lighting.shadowed):
-                fractions = self._fractions(of, resolved_data, view)
-                planes["fraction"] = fractions[..., shadowed.index(first)]
+                planes["fraction"] = self._fractions(of, view)[..., shadowed.index(first)]
         for name in data:
             images[name] = data_image(name, planes, view, scene)
         return images, resolved
 
-    def _for_data(
-        self, scene: Scene, shading: Shading, view: View
-    ) -> tuple[ResolvedScene, Structure]:
-        """Return a resolved scene, and the structure of frames of its data."""
+    def _for_data(self, scene: Scene, shading: Shading, view: View) -> Structure:
+        """Return the structure of frames of a scene's data."""
         resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)
-        of = self._structure(resolved, view, 1, refracts=False, scatters=False)
-        return resolved, self._with_cut(of)
+        return self._with_cut(self._structure(resolved, view, 1, refracts=False, scatters=False))
 
     def _with_cut(self, of: Structure) -> Structure:
         """Return a structure with the parts that only data images show: blended parts that do not
@@ -370,7 +313,7 @@ class Renderer:
         emit(of.mesh, too_clear, too_clear(of.mesh, self.alpha_threshold))
         cut = []
         for part in of.look.blended:
-            if blends_only(part.material):
+            if not part.material.transmission:
                 mask = replace(part.material, alpha="mask", alpha_cutoff=self.alpha_threshold)
                 cut.append(replace(part, material=mask, alpha=drawn_alpha(part.part, mask)))
         if not cut:
@@ -393,11 +336,11 @@ class Renderer:
         if of.samples <= self.context.most_samples:
 
             def make() -> list[Pass]:
-                planes = plane_passes(of, names, image=True) if names else []
-                return [*image_passes(of, only), *planes]
+                planes = frame_passes.plane_passes(of, names, image=True) if names else []
+                return [*frame_passes.image_passes(of, only), *planes]
 
             of = self._with_cut(of) if names else of
-            return self._draw(f"image {only}", resolved, (of.key, names), make, view)
+            return self._draw(f"image {only}", of, names, make, view)
         linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
         for shift in sample_grid(of.samples):
             shifted = view.shifted(shift, self.size)
@@ -408,18 +351,18 @@ class Renderer:
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:
         """Return the motion vectors of a scene; see ``Frame.linear``."""
+        from facerender.drawing.motion import check_before, motion_vectors, pixel_centres
+
         before, aspect = check_before(scene), self.size[0] / self.size[1]
         views = view_of(scene, aspect), view_of(before, aspect)
-        lens, renderer, flat = _lens(scene, self.size), self, scene
-        if lens:
-            renderer, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        lens, renderer, flat = self._undistorted(scene)
         view = view_of(flat, renderer.size[0] / renderer.size[1])
-        resolved, of = renderer._for_data(flat, shading, view)
+        of = renderer._for_data(flat, shading, view)
         parts = sorted((*of.look.unblended, *of.cut), key=lambda part: part.index)
-        make = lambda: [triangle_pass(parts, shading)]  # noqa: E731
-        (triangles,) = renderer._draw("triangles", resolved, None, make, view)
+        make = lambda: [frame_passes.triangle_pass(parts)]  # noqa: E731
+        (triangles,) = renderer._draw("triangles", of, None, make, view)
         triangles = lens.nearest_values(triangles) if lens else triangles
-        rays = 2.0 * (lens.places if lens else pixel_centres(self.size)) / renderer.size - 1.0
+        rays = 2.0 * (lens.positions if lens else pixel_centres(self.size)) / renderer.size - 1.0
         return motion_vectors(scene, before, views, parts, triangles, view, rays)
 
     def landmarks(
@@ -435,15 +378,13 @@ class Renderer:
         visible : (N,), whether the landmark is in the image, with no surface in front of it; see
             :func:`facerender.scene.landmarks.located`. Blended parts hide it where their opacity
             is at least ``alpha_threshold``
-
-        Raises
-        ------
-        InputError : :meth:`Landmarks.positions` or :meth:`render` raises this error
         """
-        check_type("landmarks", landmarks, Landmarks, "the result of load_landmarks")
+        from facerender.scene.landmarks import located
+
+        positions = landmarks.positions(scene.mesh)
         depth = self.render(scene, only="depth").linear
         view = view_of(scene, self.size[0] / self.size[1])
-        return located(view, scene.mesh, landmarks.positions(scene.mesh), depth)
+        return located(view, scene.mesh, positions, depth)
 
     def can_shade_per_pixel(self, scene: Scene, samples: int, shading: Shading = Shading()) -> bool:
         """Return whether a frame with `samples` per pixel can have ``shading_rate="pixel"``.
@@ -452,10 +393,10 @@ class Renderer:
         have up to 16 million triangles. No part may have an alpha mask. Parts that are not blended
         must use one set of texture coordinates. No channel of the background may exceed 1000.
         """
-        _check_scene(scene, shading)
-        _LIMITS["samples"].check("samples", samples)
-        look = resolve(scene, shading, self.albedo_kind).appearance
-        return samples > 1 and self._can_defer(look.unblended, scene.background, samples)
+        ImageSettings(samples=samples)  # checks the number
+        look = prepare.resolve(scene, shading, self.albedo_kind).appearance
+        background = scene.background or (0.0, 0.0, 0.0)
+        return samples > 1 and self._defers(look.unblended, look, background, "pixel", samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
         """Draw the G-buffer of a scene. For errors see :meth:`render`.
@@ -465,19 +406,17 @@ class Renderer:
         blended : whether to draw blended parts too, with one G-buffer for each of their layers;
             default true
         """
-        _check_scene(scene, shading)
-        check_switch("blended", blended)
         view = view_of(scene, self.size[0] / self.size[1])
-        if lens := _lens(scene, self.size):
-            wide, flat = self._of_size(lens.wide), lens.undistorted(scene)
+        lens, wide, flat = self._undistorted(scene)
+        if lens:
             return lens.nearest(wide.gbuffer(flat, shading, blended), view)
         resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)
+        setups, look = scene.mesh.setups, resolved.appearance
+        # The part whose nearest vertex has the largest depth is drawn first.
+        depths = {p.index: (setups[p.index].positions @ view.forward).min() for p in look.blended}
+        parts = sorted(depths, key=lambda index: -float(depths[index])) if blended else ()
         with self._layer_lock:
-            layers = [
-                layer
-                for part in (_far_first(resolved, view) if blended else ())
-                for layer in self._layers(resolved, view, part)
-            ]
+            layers = [layer for part in parts for layer in self._layers(resolved, view, part)]
         gbuffer, _ = self._gbuffer(resolved, view)
         return replace(gbuffer, transparent_layers=tuple(layers))
 
@@ -501,20 +440,20 @@ class Renderer:
         scene, look = resolved.scene, resolved.appearance
         of = self._structure(resolved, view, 1, scatters=layer is None)
         inputs: dict[str, moderngl.Texture] = {}
-        names = surface_images(scene, layer is not None)
+        names = frame_passes.surface_images(scene, layer is not None)
         if layer and layer.index:
             number = 1 - layer.index % 2
             previous = Target((4,) * len(names), sampled=True, number=number)
             framebuffer = self._resources.targets[sized(previous, self.size)].framebuffer
             inputs["previous_layer"] = framebuffer.color_attachments[-1]  # type: ignore[assignment]
-        make = partial(surface_passes, of, names, layer)
-        surfaces = self._draw("surface", resolved, (of.key, layer), make, view, inputs)
+        make = partial(frame_passes.surface_passes, of, names, layer)
+        surfaces = self._draw("surface", of, layer, make, view, inputs)
         images = dict(zip(names, surfaces, strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
         visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
         if shadowed := look.lighting.shadowed:
-            visibilities[..., shadowed] = self._fractions(of, resolved, view, layer, inputs)
+            visibilities[..., shadowed] = self._fractions(of, view, layer, inputs)
         material = scene.mesh.materials[layer.part] if layer else None
         gbuffer = GBuffer(
             part=position[..., 3].astype(np.int64) - 1,
@@ -540,30 +479,30 @@ class Renderer:
     def _fractions(
         self,
         of: Structure,
-        resolved: ResolvedScene,
         view: View,
         layer: Layer | None = None,
         inputs: Mapping[str, moderngl.Texture] = {},
     ) -> NDArray[np.float32]:
         """Return the visible fractions (H, W, lights) of all lights that cast shadows, in the order
         of ``Lighting.shadowed``."""
-        make, key = partial(fraction_passes, of, layer), (of.key, layer, len(of.cut))
-        fractions = self._draw("fractions", resolved, key, make, view, inputs)
+        make, key = partial(frame_passes.fraction_passes, of, layer), (layer, len(of.cut))
+        fractions = self._draw("fractions", of, key, make, view, inputs)
         return np.concatenate(fractions, axis=-1)[..., : len(of.look.lighting.shadowed)]
 
     def _resolved(self, scene: Scene, shading: Shading, view: View, samples: int) -> ResolvedScene:
         """Simplify and resolve a scene, check the memory it needs, and start to decode its maps."""
-        resolved = resolve(scene, shading, self.albedo_kind)
-        if not (self.full_maps or self.albedo_kind == "linear-color"):
-            smaller = reduced(resolved, view, self.size, self.anisotropy)
+        resolved = prepare.resolve(scene, shading, self.albedo_kind)
+        keeps_maps = self.full_maps or self.albedo_kind == "linear-color"
+        if not keeps_maps and resolved.appearance.large_maps:
+            smaller = prepare.reduced(resolved, view, self.size, self.anisotropy)
             if smaller is not resolved.scene:
-                resolved = resolve(smaller, shading, self.albedo_kind)
+                resolved = prepare.resolve(smaller, shading, self.albedo_kind)
         at_once, look = min(samples, self.context.most_samples), resolved.appearance
         if self._checked.get(look, 0) < at_once:
-            check_memory(resolved, self.size, at_once, self.memory)
+            prepare.check_memory(resolved, self.size, at_once, self.memory)
             self._checked[look] = at_once
-            self._resources.take_coarse(look.parts)
-            start_maps(look.parts)
+            self._resources.upload_reduced(look.parts)
+            prepare.start_maps(look.parts)
         return resolved
 
     def _structure(
@@ -578,19 +517,18 @@ class Renderer:
         """Return what the passes of a frame depend on, for :func:`image_passes` and others."""
         scene, look, mesh = resolved.scene, resolved.appearance, resolved.scene.mesh
         background = scene.background or (0.0, 0.0, 0.0)
-        refraction = None
-        if refracts and look.refracts:
-            from facerender.drawing.refraction import Refraction  # only if a scene needs it
+        scattering = None
+        if scatters and look.scatters:
+            from facerender.scene.scattering import scattering_of
 
-            refraction = Refraction(look, mesh, view, self.size, background)
-        defers = partial(self._defers, look.unblended, look, background, rate)
-        texels = shadow_texels(look, view, self.size)
-        scattering = scattering_of(scene, view, self.size) if scatters and look.scatters else None
-        defers_data = self._defers(look.unblended, look, background, "sample", 1)
-        return Structure(
-            look, mesh, background, samples, defers, rate, texels, refraction, scattering,
-            defers_data=defers_data,
-        )  # fmt: skip
+            scattering = scattering_of(scene, view, self.size)
+        maps = Maps(look, mesh, view, self.size, refracts)
+        defers = partial(self._defers, look.unblended, look, background)
+        # Scattering with several samples also shades the centres of the pixels.
+        counts = {count for count in (samples, 1) if defers(rate, count)}
+        defers_data = 1 in counts if rate == "sample" else defers("sample", 1)
+        values = background, samples, counts, rate, scattering
+        return Structure(look, mesh, maps, *values, defers_data=defers_data)
 
     def _defers(
         self,
@@ -601,48 +539,54 @@ class Renderer:
         samples: int,
     ) -> bool:
         """Return whether to draw only visible triangles: if asked for the rate "pixel", and where
-        it is cheaper.
+        it is cheaper. With other numbers of samples than 1 or its maximum, a driver may use more
+        than requested without reporting how many.
 
         parts : that are not blended
         """
-        driver, all_parts = self.context.renderer, [part.part for part in look.parts]
-        return self._can_defer(parts, background, samples) and (
-            rate == "pixel" or deferred_is_cheaper(all_parts, self.size, samples, driver)
+        context, all_parts = self.context, [part.part for part in look.parts]
+        rows = context.gl.info["GL_MAX_TEXTURE_SIZE"]
+        return (
+            samples in (1, context.most_samples)
+            and frame_passes.can_defer(parts, background, rows)
+            and (
+                rate == "pixel"
+                or frame_passes.deferred_is_cheaper(all_parts, self.size, samples, context.renderer)
+            )
         )
 
-    def _can_defer(
-        self, parts: Sequence[ResolvedPart], background: Vector | None, samples: int
-    ) -> bool:
-        """Return whether driver and scene support deferred shading. With other numbers of samples
-        than 1 or its maximum, a driver may use more than requested without reporting how many."""
-        rows = self.context.gl.info["GL_MAX_TEXTURE_SIZE"]
-        return samples in (1, self.context.most_samples) and can_defer(parts, background, rows)
+    def _undistorted(self, scene: Scene) -> tuple[Lens | None, Renderer, Scene]:
+        """Return the lens of a scene's camera, and the renderer and the scene of its undistorted
+        image. Without distortion: None, this renderer and the same scene.
 
-    def _of_size(self, size: tuple[int, int]) -> Renderer:
-        """Return a renderer of another size with the same context, geometry, maps and programs. The
-        last one is cached; targets of earlier sizes are freed."""
-        resized = self._resized
+        The renderer has the same context, geometry, maps and programs. The last one is cached;
+        targets of earlier sizes are freed."""
+        if scene.camera.distortion is None:
+            return None, self, scene
+        from facerender.drawing.lens import lens_of
+
+        lens, resized = lens_of(scene.camera, self.size), self._resized
+        size = lens.wide
         if resized is None or resized.size != size:
-            resized = copy(self)
+            old_size, resized = resized and resized.size, copy(self)
             resized.size, resized._resized = size, None
             resized._checked = WeakKeyDictionary()
             resized._check_size()
             with self._layer_lock, self.context.drawing() as gl:
-                resources = self._resources
-                old = [t for t in resources.targets if resized and t.size == resized.size]
-                for target in old:
-                    del resources.targets[target]
-                resources.frames.clear()
+                targets = self._resources.targets
+                for target in [target for target in targets if target.size == old_size]:
+                    del targets[target]
+                self._resources.frames.clear()
                 gl.gc()
             self._resized = resized
-        return resized
+        return lens, resized, lens.undistorted(scene)
 
     # --- OpenGL ----------------------------------------------------------------------------------
 
     def _draw(
         self,
         name: str,
-        resolved: ResolvedScene,
+        of: Structure,
         key: Hashable,
         make: Callable[[], list[Pass]],
         view: View,
@@ -650,67 +594,24 @@ class Renderer:
     ) -> list[NDArray[np.float32]]:
         """Draw a frame, which is compiled on first use, and return its results.
 
-        name, key : value that is equal for frames of one appearance and size with equal passes
+        name, key : equal for frames of one structure and size with equal passes
         make : returns these passes
         inputs : further textures that passes read, by uniform name. Such a frame is not cached
         """
-        scene = resolved.scene
-        panorama = scene.environment.panorama if scene.environment else None
+        environment = of.look.environment
         with self.context.drawing():
-            self._resources.settle()
-            frames = self._resources.frames.setdefault(resolved.appearance, {})
-            address = self.size, name, key
+            self._resources.evict_unused()
+            frames = self._resources.frames.setdefault(of.look, {})
+            address = self.size, name, of.key, key
             frame = None if inputs else frames.pop(address, None)
             if frame is None:
+                panorama = environment.panorama if environment else None
                 frame = CompiledFrame(self._resources, make(), self.size, panorama, inputs)
             if not inputs:
                 frames[address] = frame
-                if len(frames) > _MOST_FRAMES:
+                if len(frames) > _MAX_FRAMES:
                     del frames[next(iter(frames))]
-            return frame.draw(view, scene.mesh)
-
-
-def _far_first(resolved: ResolvedScene, view: View) -> list[int]:
-    """Return the indices of the blended parts in drawing order. The part whose nearest vertex has
-    the largest depth comes first."""
-    setups = resolved.scene.mesh.setups
-    parts = [part.index for part in resolved.appearance.blended]
-    return sorted(parts, key=lambda i: -float((setups[i].positions @ view.forward).min()))
-
-
-def _lens(scene: Scene, size: tuple[int, int]) -> Lens | None:
-    """Return the lens of a scene's camera, or None without distortion."""
-    if scene.camera.distortion is None:
-        return None
-    from facerender.drawing.lens import lens_of
-
-    return lens_of(scene.camera, size)
-
-
-def _metadata(
-    scene: Scene,
-    shading: Shading,
-    only: Only | None,
-    albedo: Kind,
-    shaded: ResolvedScene | None,
-    settings: dict[str, str],
-) -> dict[str, str]:
-    """Return the metadata of a frame. It keeps no renderer alive.
-
-    shaded : resolved scene of shaded images
-    """
-    metadata = scene_metadata(scene, appearance_of(scene, shading, albedo))
-    if shaded and only not in DATA:
-        metadata |= shading_metadata(shaded.appearance, only)
-    metadata |= settings
-    if only == "parts":
-        metadata["parts"] = ", ".join(part.name for part in scene.mesh.parts)
-    return metadata
-
-
-def _check_scene(scene: Scene, shading: Shading = Shading()) -> None:
-    check_type("scene", scene, Scene, "a facerender.Scene")
-    check_type("shading", shading, Shading, "a facerender.Shading")
+            return frame.draw(view, of.mesh)
 
 
 def render(
@@ -746,17 +647,12 @@ def render(
     size, samples, backend : see :class:`Renderer`
     camera, lights, ambient, background, environment : see :class:`Scene`
     only : see :meth:`Renderer.render`
-
-    Raises
-    ------
-    InputError : a file or a value cannot be used
-    ContextError : no OpenGL context is available
     """
     shading = Shading(model, lobe, fresnel, masking=masking, outside=outside)
     loaded = mesh if isinstance(mesh, Mesh) else load_mesh(mesh)
     if m is not None:
         loaded = loaded.with_skin(m=m)
-    start_maps(resolved_parts(loaded))
+    prepare.start_maps(prepare.resolved_parts(loaded))
     scene = Scene(loaded, camera, lights, ambient, background, environment)
     with Renderer(size, samples=samples, backend=backend) as renderer:
         return renderer.render(scene, shading, only)

@@ -17,19 +17,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.context import Context
-from facerender.drawing.passes import Order, Target
 from facerender.drawing.prepare import Appearance, ResolvedPart
 from facerender.drawing.program import (
     IN_ROW,
+    TABLE_TEXELS,
+    Draw,
+    Order,
     Program,
+    Target,
     fixed_attributes,
-    table_attributes,
-    table_features,
-    table_texels,
 )
 from facerender.errors import ContextError, InputError
-from facerender.mesh.part import Part
-from facerender.mesh.setup import Area, TriangleSetup
+from facerender.mesh.part import Area, Part, TriangleSetup
 from facerender.system.process import give_back, unload
 from facerender.texture.mips import Kind
 from facerender.texture.texture import Texture, Wrap
@@ -37,8 +36,9 @@ from facerender.texture.texture import Texture, Wrap
 if TYPE_CHECKING:
     from facerender.scene.environment import Panorama
 
+OF_TABLE = "marked", "visible"  # values of Draw.depth: such draws read a triangle table
 # Largest number of cached programs, unless one frame needs more.
-MOST_PROGRAMS = 64
+MAX_PROGRAMS = 64
 _STEP = 64  # pixels by which a target grows
 
 _TEXTURE_2D = 0x0DE1
@@ -90,22 +90,25 @@ class Uploaded:
     """A part on the GPU, which all its poses share.
 
     setup : vertices of the pose that the GPU holds
+    columns : attributes that all poses share, see :func:`fixed_attributes`
     moving : positions and normals, which change with the pose
-    fixed : interleaved further vertex attributes, with the widths by name; None if there are none
+    content : buffers of interleaved vertex attributes, each with their widths by name
     arrays : cache of vertex arrays, keyed by program and by the name of the order, None for all
         triangles
     chosen : vertex indices of the triangles that :meth:`choose` chose, by the name of the order
     selected, texels : texture of the indices of the triangles that face the camera, None before its
         first use; and its content
-    table : triangle table; None before its first use
+    table : framebuffer of the triangle table, with IN_ROW triangles in a row; None before its first
+        use. ``shaders/host/triangle_table.frag`` draws it
+    table_inputs : textures that this shader reads: "vertices", "attributes" and "faces"
     table_setup : vertices of the pose that the table holds; None if it is empty
     """
 
     gl: moderngl.Context
     setup: TriangleSetup
+    columns: Mapping[str, NDArray[np.floating[Any]]]
     moving: moderngl.Buffer
-    fixed: moderngl.Buffer | None
-    widths: Mapping[str, int]
+    content: Sequence[tuple[moderngl.Buffer, Mapping[str, int]]]
     indices: moderngl.Buffer
     arrays: WeakKeyDictionary[CompiledProgram, dict[str | None, moderngl.VertexArray]] = field(
         default_factory=WeakKeyDictionary
@@ -113,18 +116,19 @@ class Uploaded:
     chosen: dict[str, moderngl.Buffer] = field(default_factory=dict)
     selected: moderngl.Texture | None = None
     texels: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
-    table: TriangleTable | None = None
+    table: moderngl.Framebuffer | None = None
+    table_inputs: Mapping[str, moderngl.Texture] = field(default_factory=dict)
     table_setup: TriangleSetup | None = None
 
     @classmethod
     def of(cls, gl: moderngl.Context, part: Part, setup: TriangleSetup) -> Uploaded:
         """Upload a part."""
-        moving, fixed = gl.buffer(setup.vertices, dynamic=True), None
+        moving = gl.buffer(setup.vertices, dynamic=True)
+        content = [(moving, {"in_position": 3, "in_normal": 3})]
         if columns := fixed_attributes(part):
-            rows = np.hstack(list(columns.values()), dtype=np.float32, casting="same_kind")
-            fixed = gl.buffer(rows)
-        widths = {name: column.shape[1] for name, column in columns.items()}
-        return cls(gl, setup, moving, fixed, widths, gl.buffer(setup.faces))
+            rows = np.hstack([*columns.values()], dtype=np.float32, casting="same_kind")
+            content.append((gl.buffer(rows), {name: c.shape[1] for name, c in columns.items()}))
+        return cls(gl, setup, columns, moving, content, gl.buffer(setup.faces))
 
     def move(self, setup: TriangleSetup) -> None:
         """Upload another pose."""
@@ -143,18 +147,29 @@ class Uploaded:
             self.selected.write(self.texels[: rows * IN_ROW], (0, 0, IN_ROW, rows))
         return count
 
+    def make_table(self) -> None:
+        """Make an empty triangle table. Deferred shading supports one set of texture
+        coordinates."""
+        gl, count, faces = self.gl, len(self.setup.positions), self.setup.faces
+        columns = (rows for name, rows in self.columns.items() if name != "in_uv2")
+        values = np.hstack([np.empty((count, 0)), *columns])
+        texels = max(-(-values.shape[1] // 3), 1)  # of three channels, for each vertex
+        attributes = np.zeros((count, 3 * texels), dtype=np.float32)
+        attributes[:, : values.shape[1]] = values
+        self.table_inputs = {
+            "vertices": _empty(gl, count, 2, 3),
+            "attributes": _empty(gl, count, texels, 3),
+            "faces": _empty(gl, len(faces), 1, 3, "i4"),
+        }
+        _fill(self.table_inputs["attributes"], attributes)
+        _fill(self.table_inputs["faces"], np.asarray(faces, dtype=np.int32))
+        self.table = gl.framebuffer([_empty(gl, len(faces), TABLE_TEXELS + values.shape[1], 4)])
+
     def buffer(self, name: Order) -> moderngl.Buffer:
         """Return the vertex indices of the chosen triangles of an order."""
         if name not in self.chosen:
             self.chosen[name] = self.gl.buffer(reserve=self.indices.size, dynamic=True)
         return self.chosen[name]
-
-    def selection(self) -> moderngl.Texture:
-        """Return the texture of the indices of the triangles that face the camera."""
-        if self.selected is None:
-            self.texels = np.empty(-(-len(self.setup.faces) // IN_ROW) * IN_ROW, dtype=np.float32)
-            self.selected = _empty(self.gl, len(self.setup.faces), 1, 1)
-        return self.selected
 
     def array(
         self, compiled: CompiledProgram, order: NDArray[np.int64] | Order | None = None
@@ -167,8 +182,7 @@ class Uploaded:
         if not isinstance(order, np.ndarray) and order in arrays:
             return arrays[order]
         content = []
-        moving = {"in_position": 3, "in_normal": 3}
-        for buffer, widths in ((self.moving, moving), (self.fixed, self.widths)):
+        for buffer, widths in self.content:
             if used := [name for name in widths if name in program]:
                 parts = (f"{n}f" if name in used else f"{n}x4" for name, n in widths.items())
                 content.append((buffer, " ".join(parts), *used))
@@ -177,32 +191,6 @@ class Uploaded:
         indices = self.buffer(order) if order else self.indices
         arrays[order] = self.gl.vertex_array(program, content, indices)
         return arrays[order]
-
-
-@dataclass(eq=False)
-class TriangleTable:
-    """The triangle table of a part, which ``shaders/host/triangle_table.frag`` draws.
-
-    inputs : textures that the shader reads: "vertices", "attributes" and "faces"
-    target : framebuffer with the table as its image, IN_ROW triangles in a row
-    """
-
-    inputs: Mapping[str, moderngl.Texture]
-    target: moderngl.Framebuffer
-
-    @classmethod
-    def of(cls, gl: moderngl.Context, part: Part) -> TriangleTable:
-        """Return an empty table of a part."""
-        attributes = table_attributes(part)
-        inputs = {
-            "vertices": _empty(gl, len(part.positions), 2, 3),
-            "attributes": _empty(gl, len(part.positions), attributes.shape[1], 3),
-            "faces": _empty(gl, len(part.faces), 1, 3, "i4"),
-        }
-        _fill(inputs["attributes"], attributes)
-        _fill(inputs["faces"], np.asarray(part.faces, dtype=np.int32))
-        table = _empty(gl, len(part.faces), table_texels(part), 4)
-        return cls(inputs, gl.framebuffer([table]))
 
 
 def _empty(
@@ -260,6 +248,20 @@ class Resources:
         self.frames: WeakKeyDictionary[Appearance, dict[Hashable, Any]] = WeakKeyDictionary()
         self._settled = True
 
+    @cached_property
+    def _functions(self) -> dict[str, Any]:
+        """OpenGL functions that moderngl does not wrap; false if the driver lacks one."""
+        integer, pointer = ctypes.c_int, ctypes.c_void_p
+        types: dict[str, list[Any]] = {
+            "glFramebufferRenderbuffer": [integer] * 4,
+            "glTexSubImage2D": [*[integer] * 8, pointer],
+            "glTexParameteri": [integer] * 3,
+            "glTexStorage2D": [integer] * 5,
+            "glTexImage2D": [*[integer] * 8, pointer],
+        }
+        load = self.context.loader.load
+        return {name: ctypes.CFUNCTYPE(None, *words)(load(name)) for name, words in types.items()}
+
     def release(self) -> None:
         """Free all GPU objects. The context must be current."""
         caches = self.parts, self.panoramas, self.textures, self.programs, self.targets
@@ -268,7 +270,7 @@ class Resources:
         self.last_frame = None
         self.context.gl.gc()
 
-    def settle(self) -> None:
+    def evict_unused(self) -> None:
         """Free dropped objects. Return freed memory to the system. The renderer calls this method
         before each frame.
 
@@ -279,12 +281,12 @@ class Resources:
         self.context.gl.gc()
         if not self._settled:
             for texture, uploaded in self.textures.items():
-                for kind in uploaded if not texture.coarse else ():
-                    unload(texture.levels(kind).result())
+                for mip_kind in uploaded if not texture.coarse else ():
+                    unload(texture.levels(mip_kind).result())
             give_back()
         self._settled = True
 
-    def take_coarse(self, parts: Sequence[ResolvedPart]) -> None:
+    def upload_reduced(self, parts: Sequence[ResolvedPart]) -> None:
         """Decode and upload the reduced maps of parts (``Texture.coarse``), one after another.
 
         To limit peak memory, the renderer calls this method before it allocates targets and
@@ -300,53 +302,53 @@ class Resources:
             for map_ in sorted(maps, key=lambda map_: (costs.index(map_[2]), prod(map_[1].size))):
                 self.texture(*map_)
 
-    def target(self, kind: Target, area: Area | None = None) -> Canvas:
+    def target(self, target: Target, area: Area | None = None) -> Canvas:
         """Return a target on the GPU, created on first use.
 
         area : pixels that a pass draws. A target that shares a depth buffer is only as large as its
             passes need, because the images of several samples are large
         """
-        gl, size, canvas = self.context.gl, kind.size, self.targets.get(kind)
+        gl, size, canvas = self.context.gl, target.size, self.targets.get(target)
         assert size  # see ``compiled.sized``
-        if kind.depth_of is not None and area is not None:
-            minimum = canvas.framebuffer.size if canvas else (0, 0)
+        if target.depth_of is not None and area is not None:
+            minimum = canvas.framebuffer.size if canvas else (_STEP, _STEP)
             right, top = (-(-(area[i] + area[i + 2]) // _STEP) * _STEP for i in (0, 1))
             size = min(size[0], max(right, minimum[0])), min(size[1], max(top, minimum[1]))
             if canvas and size != minimum:
-                del self.targets[kind]
+                del self.targets[target]
                 canvas = None
                 gl.gc()
         if canvas:
             return canvas
         self._settled = False
-        samples = kind.samples if kind.samples > 1 else 0
+        samples = target.samples if target.samples > 1 else 0
         try:
-            resolved = samples and kind.resolved
-            make = gl.texture if kind.sampled and not resolved else gl.renderbuffer
+            resolved = samples and target.resolved
+            make = gl.texture if target.sampled and not resolved else gl.renderbuffer
             colors: list[Any] = [
-                make(size, count, samples=samples, dtype="f4") for count in kind.channels
+                make(size, count, samples=samples, dtype="f4") for count in target.channels
             ]
-            if kind.sampled and not samples:
+            if target.sampled and not samples:
                 for color in colors:
                     color.filter = moderngl.NEAREST, moderngl.NEAREST
-            if kind.depth_of is None:
+            if target.depth_of is None:
                 framebuffer = gl.framebuffer(colors, gl.depth_renderbuffer(size, samples=samples))
             else:  # moderngl refuses the depth buffer of a larger framebuffer
-                depth: Any = self.target(kind.depth_of).framebuffer.depth_attachment
-                attach = self.context.function("glFramebufferRenderbuffer", *[ctypes.c_uint] * 4)
+                depth: Any = self.target(target.depth_of).framebuffer.depth_attachment
                 framebuffer = gl.framebuffer(colors)
                 framebuffer.use()
+                attach = self._functions["glFramebufferRenderbuffer"]
                 attach(_FRAMEBUFFER, _DEPTH_ATTACHMENT, _RENDERBUFFER, depth.glo)
         except moderngl.Error as error:
             raise ContextError(
                 f"{self.context.renderer} cannot draw {size[0]} x {size[1]} pixels with "
-                f"{kind.samples} samples ({error}); lower the size or the samples"
+                f"{target.samples} samples ({error}); lower the size or the samples"
             ) from None
-        self.targets[kind] = Canvas(framebuffer)
-        return self.targets[kind]
+        self.targets[target] = Canvas(framebuffer)
+        return self.targets[target]
 
     def program(self, source: Program) -> CompiledProgram:
-        """Return the compiled program from the cache, or compile it. Beyond MOST_PROGRAMS, the
+        """Return the compiled program from the cache, or compile it. Beyond MAX_PROGRAMS, the
         least recently used one leaves the cache; compiled frames that draw with it keep it."""
         if source in self.programs:
             self.programs[source] = self.programs.pop(source)
@@ -362,39 +364,50 @@ class Resources:
                 f"{self.context.renderer} cannot compile a program: {error}"
             ) from None
         self.programs[source] = compiled = CompiledProgram.of(program)
-        if len(self.programs) > MOST_PROGRAMS:
+        if len(self.programs) > MAX_PROGRAMS:
             del self.programs[next(iter(self.programs))]
         return compiled
 
-    def part(self, part: ResolvedPart, setup: TriangleSetup) -> Uploaded:
-        """Return a part on the GPU, which is uploaded on first use, in the given pose."""
+    def part(
+        self, part: ResolvedPart, draw: Draw, setup: TriangleSetup, program: CompiledProgram
+    ) -> tuple[Uploaded, moderngl.VertexArray, dict[str, moderngl.Texture]]:
+        """Return the part of a draw on the GPU, which is uploaded on first use in the given pose;
+        the vertex array of the draw; and the textures of the part that its program reads."""
         if part.part not in self.parts:
             self.parts[part.part] = Uploaded.of(self.context.gl, part.part, setup)
-        return self.parts[part.part]
-
-    def table(self, part: ResolvedPart) -> moderngl.Texture:
-        """Return the texture of the triangle table of an uploaded part, which may be empty."""
-        uploaded = self.parts[part.part]
-        if uploaded.table is None:
-            self._settled = False
-            uploaded.table = TriangleTable.of(self.context.gl, part.part)
-        (texture,) = uploaded.table.target.color_attachments
-        return texture  # type: ignore[return-value]
+        uploaded, samplers = self.parts[part.part], program.samplers
+        textures = {map_[0]: self.texture(*map_) for map_ in part.maps if map_[0] in samplers}
+        if draw.depth in OF_TABLE:
+            if uploaded.table is None:
+                self._settled = False
+                uploaded.make_table()
+            (textures["triangle_table"],) = uploaded.table.color_attachments  # type: ignore
+        if "selected_triangles" in samplers:
+            if uploaded.selected is None:
+                count = len(setup.faces)
+                uploaded.texels = np.empty(-(-count // IN_ROW) * IN_ROW, dtype=np.float32)
+                uploaded.selected = _empty(self.context.gl, count, 1, 1)
+            textures["selected_triangles"] = uploaded.selected
+        screen = draw.depth in ("mark", *OF_TABLE)
+        array = program.screen if screen else uploaded.array(program, draw.order)
+        return uploaded, array, textures
 
     def draw_table(self, part: ResolvedPart) -> None:
         """Draw the triangle table of a part for the pose that the GPU holds."""
         uploaded = self.parts[part.part]
-        table = uploaded.table
+        table, inputs = uploaded.table, uploaded.table_inputs
         assert table  # a compiled frame reads it
-        _fill(table.inputs["vertices"], uploaded.setup.vertices)
-        columns = table.inputs["attributes"].width // IN_ROW
-        rows = f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {columns}"
-        macros = *table_features(part.part), *rows
+        _fill(inputs["vertices"], uploaded.setup.vertices)
+        texels = table.width // IN_ROW, inputs["attributes"].width // IN_ROW
+        macros = (
+            *(f"TRIANGLES_IN_ROW {IN_ROW}", f"TRIANGLE_TEXELS {texels[0]}"),
+            *(f"VERTICES_IN_ROW {IN_ROW}", f"ATTRIBUTE_TEXELS {texels[1]}"),
+        )
         program = self.program(Program("triangle_table.frag", "screen.vert", macros))
         for unit, (name, sampler) in enumerate(program.samplers.items()):
-            table.inputs[name].use(unit)
+            inputs[name].use(unit)
             sampler.value = unit
-        table.target.use()
+        table.use()
         self.context.gl.enable_only(moderngl.NOTHING)
         program.screen.render(vertices=3)
         uploaded.table_setup = uploaded.setup
@@ -409,21 +422,21 @@ class Resources:
             self.panoramas[source] = texture
         return self.panoramas[source]
 
-    def texture(self, name: str, source: Texture, kind: Kind) -> moderngl.Texture:
+    def texture(self, name: str, source: Texture, mip_kind: Kind) -> moderngl.Texture:
         """Return the texture of a map, whose mip chain is uploaded on first use.
 
         All mip levels come from texture.py: moderngl's build_mipmaps takes 65 ms for 2048 x 2048
         texels on a software driver.
         """
         uploaded = self.textures.setdefault(source, {})
-        if kind in uploaded:
-            return uploaded[kind]
+        if mip_kind in uploaded:
+            return uploaded[mip_kind]
         self._settled = False
-        levels = source.levels(kind).result()
+        levels = source.levels(mip_kind).result()
         if source.coarse:
             give_back()  # the images that the mip chain was made of
         gl = self.context.gl
-        internal, components, layout, data_type, dtype = _FORMATS[kind]
+        internal, components, layout, data_type, dtype = _FORMATS[mip_kind]
         height, width = levels[0].shape[:2]
         limit = gl.info["GL_MAX_TEXTURE_SIZE"]
         if max(width, height) > limit:
@@ -435,11 +448,11 @@ class Resources:
         texture = gl.texture((1, 1), components, first_texel, 0, 1, dtype, internal_format=internal)
         texture.use(0)
         self._reserve(internal, [level.shape for level in levels], layout, data_type)
-        upload = self.context.function("glTexSubImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)
-        for number, level in enumerate(levels):
+        upload = self._functions["glTexSubImage2D"]
+        for index, level in enumerate(levels):
             texels = np.ascontiguousarray(level)
             rectangle = 0, 0, level.shape[1], level.shape[0]
-            upload(_TEXTURE_2D, number, *rectangle, layout, data_type, texels.ctypes.data)
+            upload(_TEXTURE_2D, index, *rectangle, layout, data_type, texels.ctypes.data)
         # The values of a property map vary slowly, so a step between mip levels is invisible.
         # Blending two levels would take 5 % of the frame time on a software driver.
         step = name == "property_map"
@@ -451,10 +464,9 @@ class Resources:
         if source.nearest:
             texture.filter = moderngl.NEAREST_MIPMAP_NEAREST, moderngl.NEAREST
             texture.anisotropy = 1.0
-        change = self.context.function("glTexParameteri", *[ctypes.c_uint] * 2, ctypes.c_int)
         for axis, wrap in zip(_WRAP_AXES, source.wrap, strict=True):
-            change(_TEXTURE_2D, axis, _WRAPS[wrap])
-        uploaded[kind] = texture
+            self._functions["glTexParameteri"](_TEXTURE_2D, axis, _WRAPS[wrap])
+        uploaded[mip_kind] = texture
         if source.coarse:
             del levels
             source.forget()
@@ -467,27 +479,12 @@ class Resources:
         """Allocate all mip levels of the bound texture, with glTexStorage2D if the driver has it.
         After glTexImage2D, Mesa holds the finest level twice until the texture is drawn."""
         (height, width, *_), count = shapes[0], len(shapes)
-        if self.context.loader.load("glTexStorage2D"):  # OpenGL 4.2, or ARB_texture_storage
-            store = self.context.function("glTexStorage2D", *[ctypes.c_int] * 5)
+        if store := self._functions["glTexStorage2D"]:  # OpenGL 4.2, or ARB_texture_storage
             store(_TEXTURE_2D, count, internal, width, height)
             return
-        image = self.context.function("glTexImage2D", *[ctypes.c_int] * 8, ctypes.c_void_p)
-        for number, (height, width, *_) in enumerate(shapes):
-            image(_TEXTURE_2D, number, internal, width, height, 0, layout, data_type, None)
-
-
-def read(target: moderngl.Framebuffer, index: int, channels: int) -> NDArray[np.float32]:
-    """Return an image (H, W, channels) of a framebuffer that has no multisampling."""
-    pixels = np.empty((target.height, target.width, channels), dtype=np.float32)
-    target.read_into(pixels, components=channels, attachment=index, dtype="f4")
-    return pixels
-
-
-def free(resources: Resources) -> None:
-    """Free the GPU objects of a renderer and its context."""
-    with resources.context.drawing():
-        resources.release()
-    resources.context.release()
+        image = self._functions["glTexImage2D"]
+        for index, (height, width, *_) in enumerate(shapes):
+            image(_TEXTURE_2D, index, internal, width, height, 0, layout, data_type, None)
 
 
 def free_dropped(resources: Resources) -> None:
@@ -504,4 +501,4 @@ def free_dropped(resources: Resources) -> None:
         stacklevel=2,
     )
     with suppress(ContextError):
-        free(resources)
+        resources.context.release(resources.release)

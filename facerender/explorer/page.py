@@ -7,7 +7,7 @@ import json
 import shlex
 import zlib
 from base64 import b64encode
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from io import BytesIO
 from itertools import product
 from pathlib import Path
@@ -17,29 +17,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.drawing.prepare import ResolvedPart, resolved_parts
+from facerender.drawing.prepare import resolved_parts
 from facerender.drawing.program import fixed_attributes, part_uniforms, surface_features
 from facerender.errors import InputError, warn
 from facerender.glsl.library import call, shader_dir, shader_source, term_source
-from facerender.material import MAPS, Material
+from facerender.material import MAPS, Material, part_text
 from facerender.mesh.mesh import Mesh, drawn_alpha, slope_range
 from facerender.page import document
 from facerender.scene.camera import AZIMUTHS_BY_NAME, Camera
-from facerender.scene.file import ImageSettings, Pose, part_text, toml_text
-from facerender.scene.job import Job, MeshFile
+from facerender.scene.job import Job
 from facerender.scene.light import LIGHT_KINDS, Light
-from facerender.scene.scene import Scene
+from facerender.scene.scene import AMBIENT, default_lights
 from facerender.scene.shading import SMALL_SLOPE, Shading, Term
 from facerender.scene.view import FRAMING_MARGIN, region_of, target_of
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
 from facerender.terms.lobe import MIN_SLOPE
 from facerender.texture.mips import Kind
 from facerender.texture.texture import Texture
-from facerender.values.ranges import EXPOSURES, range_of, ranges_of
+from facerender.values.fields import EXPOSURES, limits_of, plain, range_of
+from facerender.values.tables import toml_text
 
 STEPS = 2**16 - 1  # Positions: 2.6 micrometres each on a head.
-LARGEST_MAP = 2048  # Texels per side; every WebGL 2 implementation supports it.
-MOST_NAMES = 4  # parts that a note names
+# Texels per side, which every WebGL 2 implementation supports.
+LARGEST_MAP = 2048
+MAX_NAMES = 4  # parts that a note names
 # Factors of materials that the page does not draw.
 UNDRAWN = (
     *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
@@ -57,15 +58,14 @@ def drawable(mesh: Mesh) -> Mesh:
     names = (*UNDRAWN, "opacity_map", "emissive_map", "lobe_map", "second_uv")
     plain: dict[str, Any] = {name: getattr(Material, name) for name in names}
     alphas = _alphas(mesh)
-    opaque = [number for number, alpha in enumerate(alphas) if alpha != "blend"]
-    numbers = opaque or range(len(alphas))
-    stored, posed = ([parts[n] for n in numbers] for parts in (mesh.geometry.parts, mesh.parts))
-    left = replace(mesh.geometry, parts=tuple(stored), known_framing=mesh.geometry.framing)
-    materials = (mesh.materials[number] for number in numbers)
+    indices = [i for i, alpha in enumerate(alphas) if alpha != "blend"] or range(len(alphas))
+    stored, posed = ([parts[i] for i in indices] for parts in (mesh.geometry.parts, mesh.parts))
+    geometry = replace(mesh.geometry, parts=tuple(stored), known_framing=mesh.geometry.framing)
+    materials = (mesh.materials[i] for i in indices)
     return Mesh(
-        left,
+        geometry,
         tuple(replace(material, **(_by_second(material) | plain)) for material in materials),
-        mesh.pose and replace(mesh.pose, geometry=left, parts=tuple(posed)),
+        mesh.pose and replace(mesh.pose, geometry=geometry, parts=tuple(posed)),
     )
 
 
@@ -75,8 +75,10 @@ def lost_features(mesh: Mesh) -> list[str]:
     strengths = {(material.normal_strength, material.occlusion_strength) for material in materials}
     pairs = zip(mesh.parts, alphas, strict=True)
     blended = [part.name for part, alpha in pairs if alpha == "blend"]
-    remainder = [f"{len(blended) - MOST_NAMES} more"] * (len(blended) > MOST_NAMES)
-    names = f" ({', '.join([*blended[:MOST_NAMES], *remainder])})" if all(blended) else ""
+    listed = blended[:MAX_NAMES]
+    if blended[MAX_NAMES:]:
+        listed.append(f"{len(blended) - MAX_NAMES} more")
+    names = f" ({', '.join(listed)})" if all(blended) else ""
     features = {
         f"blended parts{names}": bool(blended),
         "masks": "mask" in alphas,
@@ -99,64 +101,58 @@ def _by_second(material: Material) -> dict[str, Any]:
 
 
 def packed(mesh: Mesh) -> tuple[dict[str, Any], bytes, list[tuple[Texture, Kind]]]:
-    """Return the facts of a mesh, its compressed arrays, and its maps with their kinds. The facts
-    refer to arrays and maps by index."""
+    """Return the description of a mesh, its compressed arrays, and its maps with the kinds of their
+    mip chains. The description refers to arrays and maps by index."""
     columns: list[NDArray[np.int64]] = []
-    parts, skin = resolved_parts(mesh), mesh.skin
+    parts, skin, reach = resolved_parts(mesh), mesh.skin, mesh.space.reach
     textures = [*dict.fromkeys(map_[1:] for part in parts for map_ in part.maps)]
-    facts = {
-        "parts": [
-            {**_part(mesh, part, columns, textures), "skin": part.index in skin} for part in parts
-        ],
+    descriptions = []
+    for resolved in parts:
+        part, material, arrays = mesh.parts[resolved.index], resolved.material, {}
+        attributes = {"in_position": mesh.normalised(part.positions), "in_normal": part.normals}
+        for name, values in (attributes | fixed_attributes(part, uv2=False)).items():
+            low, extent = values.min(axis=0), np.ptp(values, axis=0).clip(1e-9)
+            if name == "in_position":
+                # One grid for all parts: their common borders stay closed.
+                low, extent = np.full(3, -reach), np.full(3, 2.0 * reach)
+            scale = (extent / STEPS).tolist()
+            arrays[name] = {"column": len(columns), "scale": scale, "offset": low.tolist()}
+            columns.append(np.round((values - low) / extent * STEPS).astype(np.int64))
+        columns.append(part.faces.astype(np.int64))
+        uniforms = part_uniforms(resolved).items()
+        descriptions.append(
+            {
+                "features": surface_features(resolved, Shading()),
+                "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms},
+                "arrays": arrays,
+                "faces": len(columns) - 1,
+                "maps": {map_[0]: textures.index(map_[1:]) for map_ in resolved.maps},
+                "doubleSided": material.double_sided is not False,
+                "slopes": slope_range(part, material),
+                "skin": resolved.index in skin,
+            }
+        )
+    description = {
+        "parts": descriptions,
         "columns": [list(column.shape) for column in columns],
         "maps": [{"kind": k, "wrap": map_.wrap, "nearest": map_.nearest} for map_, k in textures],
     }
-    return facts, zlib.compress(b"".join(map(_planes, columns)), 9), textures
-
-
-def _part(
-    mesh: Mesh,
-    resolved: ResolvedPart,
-    columns: list[NDArray[np.int64]],
-    textures: list[tuple[Texture, Kind]],
-) -> dict[str, Any]:
-    """Return the facts of a part, and append its arrays to the columns."""
-    part, material, reach = mesh.parts[resolved.index], resolved.material, mesh.space.reach
-    positions = mesh.normalised(part.positions)
-    fixed = fixed_attributes(part, uv2=False)
-    attributes = {"in_position": positions, "in_normal": part.normals, **fixed}
-    arrays = {}
-    for name, values in attributes.items():
-        low, extent = values.min(axis=0), np.ptp(values, axis=0).clip(1e-9)
-        if name == "in_position":  # One grid for all parts: their common borders stay closed.
-            low, extent = np.full(3, -reach), np.full(3, 2.0 * reach)
-        scale = (extent / STEPS).tolist()
-        arrays[name] = {"column": len(columns), "scale": scale, "offset": low.tolist()}
-        columns.append(np.round((values - low) / extent * STEPS).astype(np.int64))
-    columns.append(part.faces.astype(np.int64))
-    uniforms = part_uniforms(resolved).items()
-    return {
-        "features": surface_features(resolved, Shading()),
-        "uniforms": {name: np.asarray(value).tolist() for name, value in uniforms},
-        "arrays": arrays,
-        "faces": len(columns) - 1,
-        "maps": {name: textures.index((texture, kind)) for name, texture, kind in resolved.maps},
-        "doubleSided": material.double_sided is not False,
-        "slopes": slope_range(part, material),
-    }
+    return description, zlib.compress(b"".join(map(_planes, columns)), 9), textures
 
 
 def _planes(column: NDArray[np.int64]) -> bytes:
-    """Encode integers (N, K) so that deflate compresses them well: the differences of successive
-    rows, with the sign in the lowest bit, and each of their four bytes in a plane of its own."""
+    """Encode integers (N, K) as differences of successive rows, with the sign in the lowest bit and
+    each of their four bytes in a plane of its own."""
+    # Neighbouring vertices have close values, so the planes of the upper bytes are runs of zeros,
+    # which deflate compresses well.
     steps = np.diff(column, axis=0, prepend=0)
     folded = ((steps << 1) ^ (steps >> 63)).astype("<u4")
     return folded.view(np.uint8).reshape(-1, 4).T.tobytes()
 
 
-def encoded(texture: Texture, kind: Kind) -> bytes:
+def encoded(texture: Texture, mip_kind: Kind) -> bytes:
     """Return a map as an image file with row 0 at the bottom: a JPEG if the mean error is below one
-    8-bit level, otherwise a PNG. Raises InputError if the map is damaged."""
+    8-bit level, otherwise a PNG."""
     from PIL import Image
 
     image = texture.rgb()
@@ -165,7 +161,8 @@ def encoded(texture: Texture, kind: Kind) -> bytes:
         width, height = (max(round(side * scale), 1) for side in image.size)
         image = image.resize((width, height), Image.Resampling.BOX)
     texels = np.asarray(image).astype(np.int16)
-    for quality in (95, 98) if kind == "normal" else (93, 97):
+    # Without chroma subsampling, since the three channels of a normal map are independent.
+    for quality in (95, 98) if mip_kind == "normal" else (93, 97):
         file = BytesIO()
         image.save(file, "JPEG", quality=quality, subsampling=0, optimize=True)
         if np.abs(np.asarray(Image.open(file)) - texels).mean() < LEAST_LOSS:
@@ -180,9 +177,11 @@ _FILES = ("explorer.css", "state.js", "drawing.js", "panel.js", "explorer.js")
 _SHADERS = ("level.frag", "error.glsl", "error.frag", "show.frag", "lobe.frag")
 _HOST = ("shade.frag", "gbuffer.frag", "surface.vert", "screen.vert")
 _CAMERA = ("azimuth", "elevation", "zoom", "fov")
-_G_POWER = GPower(8, 0.25, 0.5)  # first numbers of the g-power lobe, which the page replaces
+_LIGHT = ("azimuth", "elevation", "irradiance", "radius")
+# First numbers of the g-power lobe. The page replaces them in the text of the GLSL.
+_G_POWER = GPower(8, 0.25, 0.5)
 TERM_FACTORS = ("m", "f0", "ks")  # factors of the skin that the page changes, in A and in B
-MOST_LIGHTS = 8
+MAX_LIGHTS = 8
 # Parameters of the shading that the page draws, or whose omission has a name in _omitted.
 _NAMED = {
     *("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse"),
@@ -195,33 +194,24 @@ def explorer_page(
 ) -> str:
     """Return the page as HTML.
 
-    Features that the page cannot draw are left out; a note on the page lists them. Maps with more
-    than 2048 texels per side are reduced.
+    Features that the page cannot draw are left out; a warning and a note on the page list them.
+    Maps with more than 2048 texels per side are reduced. Raise InputError if a map is damaged, the
+    job has more than 8 lights, or a camera that does not orbit.
 
-    Parameters
-    ----------
     job : job whose mesh file, lights, ambient light, background, camera, and m, f0 and ks of the
         skin the page shows first
     mesh : mesh of the job, with all factors except m, f0 and ks
     a, b : the two shadings of the skin that the page shows first
     plays : whether the job's pose stands for a sequence, of which the page shows one frame
-
-    Raises
-    ------
-    InputError : a map is damaged, the job has more than 8 lights, or a camera that does not orbit
-
-    Warns
-    -----
-    FacerenderWarning : features are left out
     """
     if job.camera.position is not None or job.camera.extrinsics is not None:
         raise InputError(
             "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
             "profile or AZIMUTH,ELEVATION,ZOOM"
         )
-    if len(job.lights) > MOST_LIGHTS:
+    if len(job.lights) > MAX_LIGHTS:
         raise InputError(
-            f"the explorer has at most {MOST_LIGHTS} lights, and there are {len(job.lights)}: "
+            f"the explorer has at most {MAX_LIGHTS} lights, and there are {len(job.lights)}: "
             "leave some out"
         )
     of_scene, note = ", ".join(_omitted(job, mesh, plays)), ""
@@ -231,12 +221,13 @@ def explorer_page(
     mesh = drawable(mesh)
     lights, ambient = job.lights, job.ambient
     if job.environment is not None and not lights:
-        lights, ambient = Scene.lights, Scene.ambient
-    mesh_facts, arrays, textures = packed(mesh)
+        # The page does not draw environment maps, and would be black.
+        lights, ambient = default_lights(False), AMBIENT
+    mesh_description, arrays, textures = packed(mesh)
     framed = region_of(mesh, job.camera.frame) or mesh
     factors = {name: job.material.get(name) for name in TERM_FACTORS}
-    aim = {name: getattr(job.camera, name) for name in ("frame", "target")}
-    facts = {
+    camera = plain(job.camera, changed=True)
+    page_data = {
         "version": __version__,
         "name": mesh.name,
         "mesh": _words(job),
@@ -245,7 +236,7 @@ def explorer_page(
         "target": target_of(mesh, job.camera).tolist(),
         "profile": framed.profile.round(5).tolist(),
         "framing_margin": FRAMING_MARGIN,
-        **mesh_facts,
+        **mesh_description,
         "first": {
             "a": _term(a) | factors,
             "b": _term(b) | factors,
@@ -253,9 +244,9 @@ def explorer_page(
             "lights": [_light(light, mesh) for light in lights],
             "ambient": np.broadcast_to(ambient, 3).tolist(),
         },
-        "aim": {name: value for name, value in aim.items() if value != getattr(Camera, name)},
+        "aim": {name: camera[name] for name in ("frame", "target") if name in camera},
         "cameras": AZIMUTHS_BY_NAME,
-        "most_lights": MOST_LIGHTS,
+        "most_lights": MAX_LIGHTS,
         "note": note,
         "background": job.background or (0.0, 0.0, 0.0),
         "registry": _registry(),
@@ -266,7 +257,8 @@ def explorer_page(
         "sources": zlib.compress(json.dumps(_sources()).encode(), 9),
         **{f"map-{i}": encoded(*pair) for i, pair in enumerate(textures)},
     }
-    json_text = json.dumps(facts, separators=(",", ":")).replace("</", "<\\/")
+    # A browser ends a script at the first "</script", also within a JSON string.
+    json_text = json.dumps(page_data, separators=(",", ":")).replace("</", "<\\/")
     body = _text("explorer.html") + _script("application/json", "facts", json_text)
     for name, content in contents.items():
         body += _script("text/plain", name, b64encode(content).decode())
@@ -278,8 +270,7 @@ def _term(term: Term) -> dict[str, Any]:
     """Return the values of a shading's controls; ``constant`` is the constant m of a plan."""
     power = term.lobe if isinstance(term.lobe, GPower) else _G_POWER
     lobe = "g-power" if power is term.lobe else term.lobe
-    names = {"model": term.model, "lobe": lobe, "fresnel": term.fresnel, "masking": term.masking}
-    return {**names, "constant": term.m, **asdict(power)}
+    return {**plain(term), "lobe": lobe, "constant": term.m, **plain(power)}
 
 
 def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
@@ -290,11 +281,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     cast = [light for i, light in lit if light.shadow and (only is None or i in only)]
     replaced = "" if job.lights else " (the default lights and ambient light replace the map)"
     parameters = [name for name in shading.as_dict() if name not in _NAMED]
-    image = [
-        field.name
-        for field in fields(ImageSettings)
-        if field.name != "size" and getattr(job.image, field.name) != field.default
-    ]
+    image = [name for name in plain(job.image, changed=True) if name != "size"]
     features = {
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
@@ -336,15 +323,14 @@ def _registry() -> dict[str, Any]:
 
 def _ranges() -> dict[str, Any]:
     """Return the ranges of the numbers that the page changes, as [low, high]."""
-    light = ("azimuth", "elevation", "radius", "irradiance")
     ranges = {
         "term": {
             **{name: range_of(Material, name) for name in TERM_FACTORS},
             "constant": range_of(Term, "m"),
-            **ranges_of(GPower),
+            **limits_of(GPower),
         },
         "camera": {name: range_of(Camera, name) for name in _CAMERA},
-        "light": {name: range_of(Light, name) for name in light},
+        "light": {name: range_of(Light, name) for name in _LIGHT},
         "image": {"exposure": EXPOSURES},
     }
     return {
@@ -363,8 +349,8 @@ def _sources() -> dict[str, Any]:
         "variance": shader_source("slope_variance"),
         "host": {name: shader_source(str(host / name)) for name in _HOST},
         "lights": {
-            name: {"text": shader_source(str(host / f"light/{name}.glsl")), "arrays": kind.arrays}
-            for name, kind in LIGHT_KINDS.items()
+            name: {"text": shader_source(str(host / f"light/{name}.glsl")), "arrays": light.arrays}
+            for name, light in LIGHT_KINDS.items()
         },
         "page": {name: _text(name) for name in _SHADERS},
     }
@@ -375,7 +361,9 @@ def _terms(lines: dict[str, int]) -> dict[str, Any]:
     indices of its lines in ``lines``. Adds its lines, without the #version line, to ``lines``."""
     lobes: dict[str, AnyLobe] = {**{name: name for name in LOBES}, "g-power": _G_POWER}
     terms = {}
+    # Most lines occur in many of the terms: the page is smaller if it has each line once.
     for model, (name, lobe) in product(MODELS.values(), lobes.items()):
+        # A lobe of tan^2 has a cheaper text, "plain", which is accurate from SMALL_SLOPE on.
         slopes = {"": MIN_SLOPE}
         if lobe_entry(lobe).of_tan2:
             slopes["plain"] = SMALL_SLOPE
@@ -392,9 +380,9 @@ def _terms(lines: dict[str, int]) -> dict[str, Any]:
 def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
     """Return a light as data, with its direction from the mesh's centre and, for a point light, its
     distance from the centre in the renderer's space."""
-    values = {"irradiance": light.irradiance, "radius": light.radius}
+    values = {name: getattr(light, name) for name in _LIGHT}
     if light.position is None:
-        return values | {"azimuth": light.azimuth, "elevation": light.elevation, "distance": None}
+        return values | {"distance": None}
     x, y, z = mesh.normalised(light.position)
     distance = float(np.linalg.norm((x, y, z)))
     azimuth, elevation = np.degrees((np.arctan2(x, z), np.arcsin(y / max(distance, 1e-30))))
@@ -403,27 +391,21 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
 
 def _words(job: Job) -> dict[str, Any]:
     """Return the mesh's files as command-line arguments, and material and pose as TOML."""
-
-    def options(*names: str) -> dict[str, str]:
-        """Return the options of the mesh file's fields that differ from their defaults."""
-        words = {}
-        for name in names:
-            value = getattr(job.mesh, name)
-            if value != getattr(MeshFile, name):
-                text: Any = value if isinstance(value, str | bool) else ",".join(map(str, value))
-                argument = "" if value is True else f" {shlex.quote(text)}"
-                words[name] = f"--{name.replace('_', '-')}{argument}"
-        return words
-
-    path = [shlex.quote(job.mesh.path)] if job.mesh.path else []
-    flags = ("flip_v", "allow_outside", "as_is", "double_sided", "occlusion")
-    files = options(*flags, "normal_map_y", "parts", "hide", "up", "rotate").values()
-    materials = [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
+    options = {}
+    for name, value in plain(job.mesh, changed=True).items():
+        text = ",".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
+        argument = "" if value is True else f" {shlex.quote(text)}"
+        options[name] = f"--{name.replace('_', '-')}{argument}"
+    words = [shlex.quote(job.mesh.path)] if job.mesh.path else []
+    others = "flip_v allow_outside as_is double_sided occlusion normal_map_y parts hide up rotate"
+    words += [options[name] for name in others.split() if name in options]
+    words += [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
+    maps = ("albedo", "normal_map", "specular_map", "roughness_map")
     factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *UNDRAWN)}
-    pose = {n: value for n, value in asdict(job.pose).items() if value != getattr(Pose(), n)}
+    pose = plain(job.pose, changed=True)
     return {
-        "shell": " ".join([*path, *files, *materials]),
-        "maps": options("albedo", "normal_map", "specular_map", "roughness_map"),
+        "shell": " ".join(words),
+        "maps": {name: options[name] for name in maps if name in options},
         "material": toml_text(factors).strip().splitlines(),
         "pose": toml_text({"pose": pose}) if pose else "",
     }
@@ -433,5 +415,5 @@ def _text(name: str) -> str:
     return (_BROWSER / name).read_text(encoding="utf-8")
 
 
-def _script(kind: str, name: str, content: str) -> str:
-    return f'<script type="{kind}" id="{name}">{content}</script>\n'
+def _script(media_type: str, name: str, content: str) -> str:
+    return f'<script type="{media_type}" id="{name}">{content}</script>\n'

@@ -10,15 +10,16 @@ import operator
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import NamedTuple
 
-from facerender.errors import InputError, check_path, check_type, reason
+from facerender.errors import InputError, quoted, reason
 from facerender.system.files import read_file
+from facerender.values.fields import PATH
 
 DEEPEST = 64  # Largest number of nested includes.
 IF = ("if", "ifdef", "ifndef")
@@ -29,7 +30,9 @@ _INCLUDE = re.compile(r'"([^"]+)"|<([^>]+)>')
 _LAST_LINES = re.compile(r"(?:\n#line \d+ \d+\s*)+\Z")
 _NOTHING = re.compile(r"(?:\s|//[^\n]*)*")
 _LATE = ("110", "120", "130", "140", "150")  # Versions in which #line numbers the line after next.
-_Identity = tuple[int, int]  # Device and inode number of a file.
+# Device and inode number, which are equal for all links to a file. Comparing them is faster than
+# resolving the paths of all files of a program.
+_Identity = tuple[int, int]
 
 
 class Directive(NamedTuple):
@@ -43,19 +46,12 @@ class Directive(NamedTuple):
 
 
 class Scan(NamedTuple):
-    """A text and its directives.
+    """A text and its directives."""
 
-    Attributes
-    ----------
-    text : the text, without comments that begin on the line of a directive and end on a later line,
-        and without the includes that literal conditions skip
-    directives : directives in the order of the text
-    guard : index of the #endif of the include guard, which begins at the first directive; 0 without
-        a guard. Only directives and comments may follow the #endif
-    """
-
-    text: str
+    text: str  # Without comments that begin on the line of a directive and end on a later line.
     directives: tuple[Directive, ...]
+    # Index of the #endif of the include guard, which begins at the first directive; 0 without a
+    # guard. Only directives and comments may follow the #endif.
     guard: int
 
 
@@ -74,29 +70,7 @@ def scan(text: str) -> Scan:
         position = match.start()
         words = _blanked(match[2]) if "//" in match[2] else match[2]
         directives.append(Directive(position, match.end(), line, match[1], words.strip()))
-    skipped = {*_skipped(directives)}
-    for start, end, *_ in skipped:  # moderngl would include these files.
-        text = text[:start] + " " * (end - start) + text[end:]
-    directives = [directive for directive in directives if directive not in skipped]
     return Scan(text, tuple(directives), _guard(code, directives))
-
-
-def _skipped(directives: Sequence[Directive]) -> Iterator[Directive]:
-    """Yield the includes that literal conditions, such as ``#if 0``, skip."""
-    # For each open condition: whether a branch is certainly compiled; whether the current may be.
-    conditions: list[tuple[bool, bool]] = []
-    for directive in directives:
-        name, number = directive.name, directive.rest.strip("()")
-        truth = bool(int(number)) if name in ("if", "elif") and number.isdigit() else None
-        if name in IF:
-            conditions.append((truth is True, truth is not False))
-        elif conditions and name in ("elif", "else"):
-            over, _ = conditions.pop()
-            conditions.append((over or truth is True, not over and truth is not False))
-        elif conditions and name == "endif":
-            conditions.pop()
-        if name == "include" and not all(may_compile for _, may_compile in conditions):
-            yield directive
 
 
 def _guard(code: str, directives: list[Directive]) -> int:
@@ -123,8 +97,8 @@ def _blank(match: re.Match[str]) -> str:
 
 
 def _blank_behind_directive(match: re.Match[str]) -> str:
-    """Replace a comment by spaces if it begins on a directive's line and ends on a later one.
-    Otherwise the later lines of the comment would become code when the directive is removed."""
+    """Replace a comment by spaces if it begins on a directive's line and ends on a later one."""
+    # Otherwise the later lines of the comment would become code when the directive is removed.
     line = match.string[match.string.rfind("\n", 0, match.start()) + 1 : match.start()]
     return _blank(match) if "\n" in match[0] and line.lstrip().startswith("#") else match[0]
 
@@ -137,42 +111,64 @@ def decoded(data: bytes, path: str) -> str:
         raise InputError(f"cannot read {path}: it is not UTF-8 text; give GLSL") from None
 
 
-class Includes:
-    """Text from files that include each other.
+@dataclass
+class _Conditional:
+    """A block from #if to #endif."""
 
-    Each file is inserted once, with two exceptions. If a file was inserted within a branch of a
-    condition, an include outside the branch inserts it again, because the compiler may skip the
-    branch. Directives after the include guard of a file are inserted at each include. A missing
-    file is an error; within a condition, ``#error`` leaves this error to the compiler. ``#line``
-    directives preserve line numbers.
+    guard: bool  # This is the include guard of a file.
+    over: bool  # No later branch can be taken.
+    file_count: int  # Number of files included before the block.
+    active: bool = True  # The current branch may be taken.
+    stays: bool = False  # The condition remains in the text.
+    included: set[_Identity] = field(default_factory=set)  # Files included in this branch.
+
+    @property
+    def open(self) -> bool:
+        """Whether a compiler may skip the current branch."""
+        return self.stays and not self.guard
+
+    def begin_branch(self, truth: bool | None) -> None:
+        """Begin the next branch, whose condition is true, false or, with None, not decided."""
+        self.active = not self.over and truth is not False
+        self.over |= truth is True
+        self.included = set()
+
+
+class Includes:
+    """Text from files that include each other; each file is inserted once.
+
+    A missing file is an error; within a condition, ``#error`` leaves this error to the compiler.
+    ``#line`` directives preserve line numbers.
 
     Attributes
     ----------
     files : included files, as named in include lines
     """
 
+    # Two texts may occur again. If a file was inserted within a branch of a condition, an include
+    # outside the branch inserts it again, because the compiler may skip the branch. Directives
+    # after the include guard of a file are inserted at each include: lobe.glsl checks there that
+    # FR_LOBE has not changed.
+
     def __init__(self, root: Path, paths: Sequence[str | os.PathLike[str]] = ()) -> None:
         """Create an empty text.
 
-        Parameters
-        ----------
         root : include directory of the library
         paths : more include directories, where ``<file>`` is searched before root. ``"file"`` is
             searched first in the folder of the including file, then in that of its link target
         """
-        check_type("paths", paths, list | tuple, "a list of folders")
-        for folder in paths:
-            check_path("a folder in paths", folder)
+        if not isinstance(paths, list | tuple):  # each letter of a text would be a folder
+            raise InputError(f"paths = {quoted(paths)}: give a list of folders")
         self.files: list[str] = []
         self._parts: list[str] = []
         self._root = os.path.realpath(root)
-        self._folders = [*(os.fspath(folder) for folder in paths), self._root]
+        self._folders = [*(PATH.check("a folder in paths", folder) for folder in paths), self._root]
+        self._source = 0  # Number of the file being read, from 1; 0 for text without a file.
         self._late = False  # Whether the text has one of the versions _LATE.
         self._tailed: set[_Identity] = set()  # Included files with directives after their guard.
         self._chain: dict[_Identity, str] = {}  # Paths of the files being read, outermost first.
-        # The first set holds the files included outside all conditions. Each further set holds the
-        # files included in one open branch.
-        self._scopes: list[set[_Identity]] = [set()]
+        self._included: set[_Identity] = set()  # Files included outside all conditions.
+        self._conditionals: list[_Conditional] = []  # The blocks being read, outermost first.
 
     @property
     def text(self) -> str:
@@ -186,18 +182,15 @@ class Includes:
         return next(reversed(self._chain.values()), "")
 
     def append_file(self, path: str | Path, again: bool = False) -> None:
-        """Append a file with its includes.
+        """Append a file with its includes. Raise InputError, with file and line, if a file cannot
+        be read or includes itself, or if #if and #endif do not match.
 
         again : append only the directives after the include guard
-
-        Raises
-        ------
-        InputError : a file cannot be read or includes itself, or #if and #endif do not match; the
-            message gives file and line
         """
         path = str(path)
         text = decoded(read_file(path, "a GLSL file"), path)
-        identity = _identity(os.stat(path))
+        status = os.stat(path)
+        identity = status.st_dev, status.st_ino
         if not again:
             self.files.append(self._name(path))
         if 0 < scan(text).guard < len(scan(text).directives) - 1:
@@ -209,42 +202,87 @@ class Includes:
     def append(self, text: str, again: bool = False) -> None:
         """Append text with its includes; see :meth:`append_file`."""
         text, directives, guard = scan(text)
-        source = self.files.index(self._name(self._path)) + 1 if self._chain else 0
-        start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
-        counts: list[int] = []  # Number of inserted files before each open condition.
-        if source:
-            line = text.count("\n", 0, position) + 1
-            self._parts.append(f"{self._numbered(line, source)}  // {self.files[source - 1]}\n")
-        for index, directive in enumerate(directives[start:], start):
-            if guard and index in (0, guard):
-                continue
-            next_line = f"\n{self._numbered(directive.line + 1, source)}"
-            if directive.name == "version":
-                self._late = directive.rest[:3] in _LATE
-            elif directive.name in IF:
-                self._scopes.append(set())
-                counts.append(len(self.files))
+        first, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
+        depth, outer_source = len(self._conditionals), self._source
+        self._source = self.files.index(self._name(self._path)) + 1 if self._chain else 0
+        self._begin(text.count("\n", 0, position) + 1)
+        for index, directive in enumerate(directives[first:], first):
+            self._code(text[position : directive.start])
+            position = directive.end + 1
+            line = text[directive.start : position]
+            if directive.name in IF:
+                is_guard = guard > 0 and index == 0
+                block = _Conditional(is_guard, not self._active, len(self.files))
+                self._conditionals.append(block)
+                self._branch(block, directive, line)
             elif directive.name in ("elif", "else", "endif"):
-                self._check_open(bool(counts), directive)
-                self._scopes[-1] = set()
-                count = counts[-1]
+                if len(self._conditionals) == depth:
+                    raise self._error(directive, f"#{directive.name} without #if")
                 if directive.name == "endif":
-                    self._scopes.pop()
-                    counts.pop()
-                if len(self.files) > count:  # Compilers ignore #line in a skipped branch.
-                    self._parts += text[position : directive.end], next_line
-                    position = directive.end
-            elif directive.name == "include":
-                self._parts.append(text[position : directive.start])
-                position = directive.end
-                if self._include(directive):
-                    self._parts.append(next_line)
-        self._parts.append(text[position:])
-        self._check_closed(not counts)
+                    self._end(self._conditionals.pop(), directive, line)
+                else:
+                    self._branch(self._conditionals[-1], directive, line)
+            else:
+                self._directive(directive, line)
+        self._code(text[position:])
+        if len(self._conditionals) > depth:
+            file = self._name(self._path) if self._chain else "text"
+            raise InputError(f"{file}: #if without #endif")
+        self._source = outer_source
 
-    def _numbered(self, line: int, source: int) -> str:
+    # A subclass replaces the next five methods, which decide how a text is stored.
+
+    def _begin(self, line: int) -> None:
+        """Begin the text of a file at a line."""
+        if self._source:
+            self._parts.append(f"{self._numbered(line)}  // {self.files[self._source - 1]}\n")
+
+    def _code(self, text: str) -> None:
+        """Store the lines between two directives."""
+        self._parts.append(text)
+
+    def _branch(self, block: _Conditional, directive: Directive, line: str) -> None:
+        """Begin a branch."""
+        self._end(block, directive, line)
+        block.begin_branch(_literal(directive.rest) if directive.name in ("if", "elif") else None)
+        block.stays = True
+
+    def _end(self, block: _Conditional, directive: Directive, line: str) -> None:
+        """End a branch, and number the next line again if the block has included files."""
+        # Compilers ignore #line in a branch that they skip.
+        if not block.guard and len(self.files) > block.file_count:
+            line = line.rstrip("\n") + self._next_number(directive, line)
+        self._parts.append(line)
+
+    def _directive(self, directive: Directive, line: str) -> None:
+        """Process a directive other than #if to #endif."""
+        if directive.name == "version":
+            self._late = directive.rest[:3] in _LATE
+        elif directive.name == "include":
+            if not self._active:
+                # moderngl searches the result for includes, also in branches that are skipped.
+                line = re.sub(r"[^\n]", " ", line)
+            elif self._include(directive):
+                line = self._next_number(directive, line)
+            else:
+                line = line[directive.end - directive.start :]
+        self._parts.append(line)
+
+    def _next_number(self, directive: Directive, line: str) -> str:
+        """Return the end of a directive's line, and a directive that numbers the next line."""
+        return f"\n{self._numbered(directive.line + 1)}{line[directive.end - directive.start :]}"
+
+    def _numbered(self, line: int) -> str:
         """Return a directive that gives the next line a number."""
-        return f"#line {line - self._late} {source}"
+        return f"#line {line - self._late} {self._source}"
+
+    @property
+    def _active(self) -> bool:
+        return all(block.active for block in self._conditionals)
+
+    def _open(self) -> list[_Conditional]:
+        """Return the blocks whose current branch a compiler may skip."""
+        return [block for block in self._conditionals if block.open]
 
     def _include(self, include: Directive) -> bool:
         """Insert an included file. Return False if the text already contains the file."""
@@ -263,25 +301,27 @@ class Includes:
             return self._fail(include, f"cannot read {name}: {reason(error)}")
         if file is None:
             return self._fail(include, f"no file {name} in {' or '.join(dict.fromkeys(folders))}")
-        place, identity = file
+        file_path, identity = file
         if identity in self._chain:
             cycle = [*self._chain.values()][[*self._chain].index(identity) :]
-            names = " -> ".join(map(self._name, [*cycle, place]))
+            names = " -> ".join(map(self._name, [*cycle, file_path]))
             raise self._error(include, f"include cycle {names}")
         if len(self._chain) == DEEPEST:
             raise self._error(include, f"more than {DEEPEST} nested includes")
-        again = any(identity in scope for scope in self._scopes)
+        scopes = [self._included, *(block.included for block in self._open())]
+        again = any(identity in scope for scope in scopes)
         if again and identity not in self._tailed:
             return False
-        self._scopes[-1].add(identity)
-        self.append_file(place, again)
+        scopes[-1].add(identity)
+        self.append_file(file_path, again)
         return True
 
     def _fail(self, include: Directive, message: str) -> bool:
         """Raise InputError. Within a condition, which the compiler may skip, insert ``#error``."""
-        if len(self._scopes) == 1:
+        if not self._open():
             raise self._error(include, message)
-        self._parts.append("#error " + re.sub("[\"']", "", message))  # naga reads quotes.
+        # naga reads the quotes of an #error as GLSL.
+        self._parts.append("#error " + re.sub("[\"']", "", message))
         return True
 
     def _name(self, path: str) -> str:
@@ -289,31 +329,20 @@ class Includes:
         root = os.path.join(self._root, "")
         location = os.path.normpath(path)
         if not location.startswith(root):
-            location = os.path.realpath(path)  # A link may lead into the library.
+            # A link may lead into the library.
+            location = os.path.realpath(path)
         inside = location.startswith(root)
         return location.removeprefix(root).replace(os.sep, "/") if inside else path
 
-    def _place(self, directive: Directive) -> str:
+    def _error(self, directive: Directive, message: str, separator: str = ": ") -> InputError:
         path = f"{self._name(self._path)}:" if self._chain else "line "
-        return f"{path}{directive.line}"
-
-    def _error(self, directive: Directive, message: str) -> InputError:
-        return InputError(f"{self._place(directive)}: {message}")
-
-    def _check_open(self, is_open: bool, directive: Directive) -> None:
-        if not is_open:
-            raise self._error(directive, f"#{directive.name} without #if")
-
-    def _check_closed(self, closed: bool) -> None:
-        if not closed:
-            file = self._name(self._path) if self._chain else "text"
-            raise InputError(f"{file}: #if without #endif")
+        return InputError(f"{path}{directive.line}{separator}{message}")
 
 
-def _identity(status: os.stat_result) -> _Identity:
-    """Return device and inode number, which are equal for all links to a file. Comparing these
-    numbers is faster than resolving paths."""
-    return status.st_dev, status.st_ino
+def _literal(condition: str) -> bool | None:
+    """Return the value of a condition that is a number, such as 0 or (1); otherwise None."""
+    number = condition.strip("()")
+    return bool(int(number)) if number.isdecimal() else None
 
 
 def _first(name: str, folders: Sequence[str]) -> tuple[str, _Identity] | None:
@@ -325,7 +354,7 @@ def _first(name: str, folders: Sequence[str]) -> tuple[str, _Identity] | None:
         except (FileNotFoundError, NotADirectoryError):
             continue
         if stat.S_ISREG(status.st_mode):
-            return path, _identity(status)
+            return path, (status.st_dev, status.st_ino)
     return None
 
 
@@ -342,28 +371,11 @@ _COMPARE = {
 }
 
 
-@dataclass
-class _Conditional:
-    """A block from #if to #endif. The #if remains in the text unless known macros decide it."""
-
-    over: bool  # No later branch can be taken.
-    guard: bool  # This is the include guard of a file.
-    active: bool = False  # The current branch may be taken.
-    stays: bool = False  # The condition remains in the text.
-    included: set[tuple[int, int]] = field(default_factory=set)  # Files included in this branch.
-
-    @property
-    def open(self) -> bool:
-        """Whether a compiler may skip the current branch."""
-        return self.stays and not self.guard
-
-
 class Preprocessor(Includes):
     """Flat text, without ``#line`` directives, from files that include each other.
 
     Conditions that known macros decide are removed, together with the branches not taken. All other
-    conditions remain in the text. A condition can be decided if it consists only of comparisons,
-    ``defined`` and names, with ``!``, ``&&`` and ``||``.
+    conditions remain in the text.
 
     Attributes
     ----------
@@ -380,9 +392,6 @@ class Preprocessor(Includes):
     ) -> None:
         """Create an empty text.
 
-        Parameters
-        ----------
-        root, paths : see :class:`Includes`
         chosen : macros that are set outside the text, and their values
         guards : whether include guards remain in the text
         closed : whether all unknown macros count as undefined, so that all conditions are decided
@@ -393,49 +402,45 @@ class Preprocessor(Includes):
         self._macros = dict(self._chosen)
         self._guards = guards
         self._closed = closed
-        self._conditionals: list[_Conditional] = []
 
     def is_defined(self, macro: str) -> bool:
         """Return whether the text or `chosen` defines a macro."""
         return macro in self._macros
 
-    def append(self, text: str, again: bool = False) -> None:
-        """Append text with its includes; see :meth:`append_file`. Raise InputError also if a line
-        defines a macro of `chosen`."""
-        text, directives, guard = scan(text)
-        start, position = (guard + 1, directives[guard].end + 1) if again else (0, 0)
-        depth = len(self._conditionals)
-        for number, directive in enumerate(directives[start:], start):
-            if self._active:
-                self._parts.append(text[position : directive.start])
-            position = directive.end + 1
-            line = text[directive.start : position]
-            if directive.name in IF:
-                is_guard = guard > 0 and number == 0
-                self._conditionals.append(_Conditional(not self._active, is_guard))
-                self._branch(directive, line)
-            elif directive.name in ("elif", "else", "endif"):
-                self._check_open(len(self._conditionals) > depth, directive)
-                if directive.name != "endif":
-                    self._branch(directive, line)
-                elif self._conditionals.pop().stays:
-                    self._parts.append(line)
-            elif self._active:
-                self._directive(directive, line)
+    def _begin(self, line: int) -> None:
+        pass
+
+    def _code(self, text: str) -> None:
         if self._active:
-            self._parts.append(text[position:])
-        self._check_closed(len(self._conditionals) == depth)
+            self._parts.append(text)
+
+    def _branch(self, block: _Conditional, directive: Directive, line: str) -> None:
+        bare = block.guard and not self._guards
+        truth = False if block.over else bare or self._truth(directive.name, directive.rest)
+        if truth is None and self._closed:
+            raise InputError(
+                f"cannot evaluate {line.strip()}: use comparisons of macros, or defined()"
+            )
+        block.begin_branch(truth)
+        if truth is None:
+            becomes_if = directive.name == "elif" and not block.stays
+            self._parts.append(f"#if {directive.rest}\n" if becomes_if else line)
+            block.stays = True
+        elif truth and block.stays:
+            self._parts.append("#else\n")
+
+    def _end(self, block: _Conditional, directive: Directive, line: str) -> None:
+        if block.stays:
+            self._parts.append(line)
 
     def _directive(self, directive: Directive, line: str) -> None:
-        """Process a directive, other than #if to #endif, in a branch that may be taken."""
+        if not self._active:
+            return
         if directive.name == "include":
-            self._scopes[1:] = [
-                conditional.included for conditional in self._conditionals if conditional.open
-            ]
             if self._include(directive):
                 self._parts.append("\n")
             return
-        if directive.name == "error" and not any(branch.open for branch in self._conditionals):
+        if directive.name == "error" and not self._open():
             raise self._error(directive, directive.rest)
         if directive.name == "version":
             if self.version:
@@ -446,42 +451,22 @@ class Preprocessor(Includes):
             self._store(directive)
         self._parts.append(line)
 
-    @property
-    def _active(self) -> bool:
-        return all(conditional.active for conditional in self._conditionals)
-
-    def _branch(self, directive: Directive, line: str) -> None:
-        """Begin a branch of the innermost conditional."""
-        current = self._conditionals[-1]
-        bare = current.guard and not self._guards
-        truth = False if current.over else bare or self._truth(directive.name, directive.rest)
-        if truth is None and self._closed:
-            raise InputError(
-                f"cannot evaluate {line.strip()}: use comparisons of macros, or defined()"
-            )
-        current.active = truth is not False
-        current.over |= truth is True
-        current.included = set()
-        if truth is None:
-            becomes_if = directive.name == "elif" and not current.stays
-            self._parts.append(f"#if {directive.rest}\n" if becomes_if else line)
-            current.stays = True
-        elif truth and current.stays:
-            self._parts.append("#else\n")
-
     def _truth(self, directive: str, condition: str) -> bool | None:
         """Return the value of a condition, or None if known macros do not decide it."""
         if directive == "else":
             return True
         if directive in ("ifdef", "ifndef"):
             return self._if_defined(condition, directive == "ifdef")
+        if (literal := _literal(condition)) is not None:
+            return literal
+        # The library needs no more than comparisons, "defined" and names, with !, && and ||.
         condition = _DEFINED.sub(r" \1defined \2\3 ", condition)
         if re.search(r"[()\\]", condition):
             return None
-        either = {
-            _all(self._comparison(term.strip()) for term in terms.split("&&"))
-            for terms in condition.split("||")
-        }
+        either = set()
+        for terms in condition.split("||"):
+            truths = {self._comparison(term.strip()) for term in terms.split("&&")}
+            either.add(False if False in truths else None if None in truths else True)
         return True if True in either else None if None in either else False
 
     def _comparison(self, term: str) -> bool | None:
@@ -493,8 +478,8 @@ class Preprocessor(Includes):
         return None if left is None or right is None else bool(_COMPARE[sign](left, right))
 
     def _if_defined(self, macro: str, truth: bool) -> bool | None:
-        """Return `truth` if a macro is defined, or else its opposite, or None if the host may still
-        define the macro."""
+        """Return `truth` if a macro is defined, or else its opposite, or None if unknown."""
+        # Unless the text is closed, the host may still define the macro.
         return truth if macro in self._macros else not truth if self._closed else None
 
     def _value(self, word: str) -> int | None:
@@ -509,13 +494,8 @@ class Preprocessor(Includes):
         match = _MACRO.match(directive.rest)
         if match and match[1] in self._chosen:
             message = f"defines {match[1]}, which lobe or m sets: remove the line or the argument"
-            raise InputError(f"{self._place(directive)} {message}")
+            raise self._error(directive, message, " ")
         if match and directive.name == "undef":
             self._macros.pop(match[1], None)
-        elif match and not any(conditional.open for conditional in self._conditionals):
+        elif match and not self._open():
             self._macros[match[1]] = match[2]
-
-
-def _all(values: Iterable[bool | None]) -> bool | None:
-    truths = set(values)
-    return False if False in truths else None if None in truths else True

@@ -1,9 +1,5 @@
 """The GLSL library: its directory, its files as flat text for a GLSL version or another language,
-its catalogue of functions, and the code of specular terms (their macros, includes and calls).
-
-The catalogue is parsed from comments in the GLSL files. Each file has a header comment, and a
-function may have a comment above it. A comment begins with a sentence; lines ``//   key: text``
-follow. Deeper indented lines continue the text of a key."""
+its catalogue of functions, and the code of specular terms (their macros, includes and calls)."""
 
 from __future__ import annotations
 
@@ -17,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from facerender import __version__
-from facerender.errors import InputError, check_known, check_type
+from facerender.errors import InputError, check_known
 from facerender.glsl.includes import Includes, Preprocessor, decoded
 from facerender.scene.shading import SMALL_SLOPE, Term
 from facerender.system.files import data_dir
@@ -28,6 +24,9 @@ if TYPE_CHECKING:
     import moderngl
 
 
+# The catalogue of functions is parsed from the comments that a reader of the GLSL files has. Each
+# file has a header comment, and a function may have a comment above it. A comment begins with a
+# sentence; lines "//   key: text" follow. Deeper indented lines continue the text of a key.
 _FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\(([^)]*)\) \{", re.MULTILINE)
 _KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
 
@@ -51,35 +50,27 @@ class Function:
 @cache
 def functions() -> tuple[Function, ...]:
     """Return all public functions of the library, in alphabetical order of the files."""
-    return tuple(function for name in library() for function in _functions(name))
-
-
-def _functions(name: str) -> list[Function]:
-    file = f"facerender/{name}.glsl"
-    text = (shader_dir() / file).read_text(encoding="utf-8")
-    header = _comment(text[: text.index("#ifndef")])
     result = []
-    for comment, kind, function, parameters in _FUNCTION.findall(text):
-        description = _comment(comment)
-        texts = _keyed(header) | _keyed(description)
-        paragraph = (description or header).split("\n\n")[0]
-        parameters = " ".join(parameters.split())
-        names = [parameter.split()[1] for parameter in parameters.split(", ")]
-        result.append(
-            Function(
-                function,
-                f"{kind} {function}({parameters})",
-                file,
-                re.split(r"(?<=\.) (?=[A-Z])", " ".join(paragraph.split()))[0],
-                {name: texts[name] for name in names},
-                texts["formula"],
-                texts["unit"],
-                texts.get("returns", ""),
-                texts["error"],
-                texts["source"],
+    for file in (f"facerender/{name}.glsl" for name in library()):
+        text = (shader_dir() / file).read_text(encoding="utf-8")
+        header = _comment(text[: text.index("#ifndef")])
+        for comment, return_type, name, parameters in _FUNCTION.findall(text):
+            description = _comment(comment)
+            texts = _keyed(header) | _keyed(description)
+            paragraph = (description or header).split("\n\n")[0]
+            parameters = " ".join(parameters.split())
+            names = [parameter.split()[1] for parameter in parameters.split(", ")]
+            function = Function(
+                name,
+                signature=f"{return_type} {name}({parameters})",
+                file=file,
+                summary=re.split(r"(?<=\.) (?=[A-Z])", " ".join(paragraph.split()))[0],
+                parameters={name: texts[name] for name in names},
+                result=texts.get("returns", ""),
+                **{key: texts[key] for key in ("formula", "unit", "error", "source")},
             )
-        )
-    return result
+            result.append(function)
+    return tuple(result)
 
 
 def _comment(lines: str) -> str:
@@ -157,16 +148,14 @@ def shader_source(
     macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
         SLOPES.check("m", m)
+    # A constant m in this range does not need the slower form that is accurate at small angles.
     if lobe == "exact" and m is not None and m >= SMALL_SLOPE:
         macros["FR_SMALL_SLOPE"] = "0"
     return _flat(name, target, macros, lobe, m, paths)
 
 
 def term_source(
-    term: Term,
-    smallest_m: float,
-    target: Target | Language | None = None,
-    two_lobes: bool = False,
+    term: Term, smallest_m: float, target: Target | Language | None = None, two_lobes: bool = False
 ) -> str:
     """Return the file of a term's model as flat text, configured for the term.
 
@@ -189,7 +178,6 @@ def _flat(
 ) -> str:
     if target is not None:
         check_known("target", target, (*TARGETS, *LANGUAGES))
-    check_type("name", name, str, "the name of a library file or function, or a path, as a string")
     path = _path(name)
     is_standard = path == _STANDARD_INPUT
     standard_input = decoded(sys.stdin.buffer.read(), str(path)) if is_standard else None
@@ -208,7 +196,8 @@ def _flat(
         return flat
 
     flat = flattened(guards=target is None)
-    if len(set(flat.files)) < len(flat.files):  # A file occurs twice: keep the include guards.
+    # A branch and the text after it may include the same file: the guards decide which is compiled.
+    if len(set(flat.files)) < len(flat.files):
         flat = flattened(guards=True)
     if lobe is not None and "facerender/lobe.glsl" not in flat.files:
         raise InputError(f"{name} does not use FR_LOBE: leave lobe {lobe} out")
@@ -260,7 +249,6 @@ def resolve_includes(text: str, paths: Sequence[str | os.PathLike[str]] = ()) ->
     InputError : a file includes itself, or is missing; the message gives the line. Within another
         condition a missing file becomes ``#error``, which the compiler reports or skips
     """
-    check_type("text", text, str, "a string of GLSL")
     resolved = Includes(shader_dir(), paths)
     resolved.append(text.removeprefix("\ufeff"))
     return resolved.text
@@ -282,7 +270,6 @@ def translated(text: str, language: Language) -> str:
 def moderngl_includes(context: moderngl.Context) -> None:
     """Register all library files as includes of a moderngl context. Programs of the context may
     then contain lines such as ``#include "facerender/cook_torrance.glsl"``, in quotes."""
-    check_type("context", getattr(context, "includes", None), dict, "a moderngl.Context")
     for name in library():
         context.includes[f"facerender/{name}.glsl"] = shader_source(name)
 
@@ -293,6 +280,7 @@ def _path(name: str) -> Path:
     root = shader_dir() / "facerender"
     stem = name.removeprefix("facerender/").removesuffix(".glsl")
     host_file = Path(name)
+    # "ward" is always the library's file; "ward.glsl" is the host's, if the host has such a file.
     if stem in library() and (stem == name or not os.path.isfile(host_file)):
         return root / f"{stem}.glsl"
     if host_file.suffix or os.path.exists(host_file):
@@ -315,6 +303,7 @@ def _constant_slope(
     def has(entry: Entry) -> bool:
         return f"facerender/{entry.file}.glsl" in flat.files
 
+    # One constant cannot stand for the slopes of two lobes.
     if any(model.two and has(model.two) for model in MODELS.values()):
         raise InputError(f"{name} has two slopes: leave m = {m:g} out")
     used = sorted(filter(has, LOBES.values()), key=lambda entry: entry.name)
@@ -328,6 +317,7 @@ def _constant_slope(
         for k in powers:
             entry.check(m, k)
 
+    # The macros replace the functions' parameter m, which callers of the functions still pass.
     macros = {"FR_SLOPE(m)": str(float(m))}
     if isinstance(lobe, GPower):
         macros["FR_STEEPNESS(m, k)"] = str(float(lobe.factor / m**2 - lobe.offset))
@@ -354,7 +344,7 @@ def term_macros(term: Term, smallest_m: float) -> dict[str, str]:
     """Return the macros that make the function of a model, such as ``fr_cook_torrance``, compute a
     term; ``smallest_m`` as in :func:`prelude`."""
     macros = _macros(term, smallest_m)
-    if term.entry.factors:
+    if MODELS[term.model].factors:
         macros["FR_FRESNEL"] = FRESNEL[term.fresnel].macro
         macros["FR_MASKING"] = MASKING[term.masking].macro
     if term.m is not None:
@@ -373,9 +363,20 @@ def prelude(term: Term, smallest_m: float, two_lobes: bool = False) -> str:
     return f'{defines(macros)}#include "facerender/{file_of(term, two_lobes)}.glsl"\n'
 
 
+def _macros(term: Term, smallest_m: float) -> dict[str, str]:
+    """Return the macros that select the lobe of a term. FR_SMALL_SLOPE is 0 if the term has the
+    exact lobe and needs no accurate small angles."""
+    lobe = lobe_entry(term.lobe)
+    macros = {"FR_LOBE": lobe.macro, **lobe.macros}
+    if lobe.of_tan2 and not term.keeps_small_slopes(smallest_m):
+        macros["FR_SMALL_SLOPE"] = "0"
+    return macros
+
+
 def file_of(term: Term, two_lobes: bool) -> str:
     """Return the name of the library file that a term needs, such as "ward"."""
-    return term.entry.two.file if two_lobes and term.entry.two else term.entry.file
+    model = MODELS[term.model]
+    return model.two.file if two_lobes and model.two else model.file
 
 
 def call(term: Term, second_slope: float | None = None) -> str:
@@ -384,60 +385,38 @@ def call(term: Term, second_slope: float | None = None) -> str:
     second_slope : ratio of the second lobe's m to the first lobe's m; the expression then also
         uses float second_m and lobe_weight. None for materials with one lobe
     """
-    if second_slope is not None and term.entry.two:
-        m, second = _slopes(term, second_slope)
-        return term.entry.two.call.format(m=m, second=second, **_names(term))
-    return _lobes(term.entry.call, term, second_slope)
+    model = MODELS[term.model]
+    two = None if second_slope is None else model.two
+    return _expression((two or model).call, term, second_slope)
 
 
 def environment_call(term: Term, second_slope: float | None = None) -> str:
     """Return the GLSL expression of the radiance (vec3) that a term reflects from an environment.
 
-    The expression uses vec3 n, v and float m, f0. For second_slope see :func:`call`.
-
-    Raises
-    ------
-    InputError : the model does not support environment maps
+    The expression uses vec3 n, v and float m, f0. For second_slope see :func:`call`. Raise
+    InputError if the model does not support environment maps.
     """
-    if term.entry.environment is None:
+    model = MODELS[term.model]
+    if model.environment is None:
         raise InputError(
             f"the model {term.model} has no specular term for environment maps: set "
             "environment_samples to 0, or choose another model"
         )
-    return _lobes(term.entry.environment.call, term, second_slope)
+    return _expression(model.environment.call, term, second_slope)
 
 
-def _names(term: Term) -> dict[str, str]:
-    """Return the names that the code of a call contains in braces, and their macros."""
-    return {
+def _expression(code: str, term: Term, second_slope: float | None) -> str:
+    """Return the call with the names of macros and slopes. If it has one lobe, but the material has
+    two, return the weighted mean of two calls. A constant m becomes a number."""
+    names = {
         "lobe": lobe_entry(term.lobe).macro,
         "fresnel": FRESNEL[term.fresnel].macro,
         "masking": MASKING[term.masking].macro,
     }
-
-
-def _slopes(term: Term, second_slope: float | None) -> tuple[str, str]:
-    """Return m of both lobes as GLSL: numbers if the term has a constant m, otherwise variables.
-    The second string is "" if there is one lobe."""
-    second = None if second_slope is None else term.second(second_slope).slope("second_m")
-    slopes = term.slope("m"), second or ""
-    m, second_m = (x if isinstance(x, str) else repr(float(x)) for x in slopes)
-    return m, second_m
-
-
-def _lobes(code: str, term: Term, second_slope: float | None) -> str:
-    """Return the call for one lobe, or for two lobes the weighted mean of both calls."""
-    m, second = _slopes(term, second_slope)
-    first_call, second_call = (code.format(m=slope, **_names(term)) for slope in (m, second))
-    if not second:
-        return first_call
+    m, second = "m", "second_m"
+    if term.m is not None:
+        m, second = repr(term.m), repr(term.second(second_slope or 1.0).m)
+    if second_slope is None or "{second}" in code:
+        return code.format(m=m, second=second, **names)
+    first_call, second_call = (code.format(m=slope, **names) for slope in (m, second))
     return f"lobe_weight * {first_call} + (1.0 - lobe_weight) * {second_call}"
-
-
-def _macros(term: Term, smallest_m: float) -> dict[str, str]:
-    """Return the macros that select the lobe of a term. FR_SMALL_SLOPE is 0 if the term has the
-    exact lobe and needs no accurate small angles."""
-    macros = lobe_macros(term.lobe)
-    if lobe_entry(term.lobe).of_tan2 and not term.keeps_small_slopes(smallest_m):
-        macros["FR_SMALL_SLOPE"] = "0"
-    return macros

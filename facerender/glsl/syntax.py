@@ -102,13 +102,14 @@ def tokens(text: str) -> list[Token]:
     """Split text into tokens. Raise InputError for a character that GLSL does not allow."""
     result, space = [], ""
     for match in _TOKEN.finditer(text):
-        kind, word = str(match.lastgroup), match[0]
-        if kind == "other":
+        token_type, word = str(match.lastgroup), match[0]
+        if token_type == "other":
             raise InputError(f"not translated: {word!r} is not a character of GLSL")
-        if kind == "space":
+        if token_type == "space":
             space = word
             continue
-        result.append(Token(kind, _number(word) if kind == "number" else word, space))
+        text = _number(word) if token_type == "number" else word
+        result.append(Token(token_type, text, space))
         space = ""
     result.append(Token("end", "", space))
     return result
@@ -152,8 +153,8 @@ def expanded(lines: Sequence[str]) -> list[Token]:
             continue
         name, parameters, body = define[1], define[2], define[3]
         if parameters is None and (number := _NUMBER.fullmatch(body)) and directive == "define":
-            kind = "int" if number[1].lstrip("-").isdigit() else "float"
-            chunk.append(f"const {kind} {name} = {number[1]};")
+            number_type = "int" if number[1].lstrip("-").isdigit() else "float"
+            chunk.append(f"const {number_type} {name} = {number[1]};")
             continue
         flush()
         macros.pop(name, None)
@@ -173,8 +174,8 @@ def _exact(code: Sequence[Token]) -> Iterator[Token]:
             space = space or token.before
             statement &= token.text != ";"
         else:
-            kind = "name" if token.kind == "final name" else token.kind
-            yield replace(token, kind=kind, before=space or token.before)
+            token_type = "name" if token.kind == "final name" else token.kind
+            yield replace(token, kind=token_type, before=space or token.before)
             space = ""
 
 
@@ -299,20 +300,22 @@ class Parser:
             while self._next.text in QUALIFIERS | {"out", "inout"}:
                 word = self._take().text
                 qualifier = word if word in ("out", "inout") else qualifier
-            kind = self._type()
+            parameter_type = self._type()
             if self._next.kind != "name":
                 raise self._error("a parameter without a name")
             parameter = self._take().text
             self._refuse_array()
-            function.parameters.append((qualifier, kind, parameter))
-            parameters.append(Node(qualifier, list(self._code[first : self._at]), kind, parameter))
+            function.parameters.append((qualifier, parameter_type, parameter))
+            parameters.append(
+                Node(qualifier, list(self._code[first : self._at]), parameter_type, parameter)
+            )
             if self._next.text == ",":
                 parameters.append(self._take())
         head: list[Part] = [*self._code[start : start + 3], *parameters, self._take(")")]
         self._add(name.text, function)
         if self._next.text == ";":
             return Node("prototype", [*head, self._take()], type_, name.text)
-        self._scopes.append({parameter: kind for _, kind, parameter in function.parameters})
+        self._scopes.append({name: type_ for _, type_, name in function.parameters})
         self._function = function
         body = self._block()
         self._scopes.pop()
@@ -321,7 +324,7 @@ class Parser:
     def _add(self, name: str, function: Function) -> None:
         """Store the signature of a function or prototype."""
         declared = self.functions.setdefault(name, function)
-        types = [[kind for _, kind, _ in f.parameters] for f in (declared, function)]
+        types = [[type_ for _, type_, _ in f.parameters] for f in (declared, function)]
         if types[0] != types[1]:
             raise self._error(f"an overload of the function {name!r}: give it another name")
         self.functions[name] = function
@@ -488,8 +491,8 @@ class Parser:
         token = self._take()
         if token.kind == "number":
             floats = "." in token.text or ("e" in token.text.lower() and "x" not in token.text)
-            kind = "float" if floats else "uint" if token.text.endswith("u") else "int"
-            return Node("number", [token], kind)
+            number_type = "float" if floats else "uint" if token.text.endswith("u") else "int"
+            return Node("number", [token], number_type)
         if token.text == "(":
             inner = self._expression()
             return Node("group", [token, inner, self._take(")")], inner.type)
@@ -534,7 +537,7 @@ class Parser:
             raise self._error(f"{name.text}(), which is neither declared nor supported")
         result = RESULTS[name.text]
         if result == "widest":
-            result = max((node.type for node in arguments), key=lambda kind: kind in VECTORS)
+            result = max((node.type for node in arguments), key=lambda type_: type_ in VECTORS)
         return Node("built-in", parts, result, name.text)
 
 

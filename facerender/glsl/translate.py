@@ -270,31 +270,31 @@ class Wgsl(Writer):
         self._assigned: set[str] = set()
 
     def lacks(self, node: Node) -> bool:
-        operands, kind, sign = node.nodes, node.kind, node.sign.removesuffix("=")
-        if kind == "call":
+        operands, category, sign = node.nodes, node.kind, node.sign.removesuffix("=")
+        if category == "call":
             parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
             return any(
                 not _is_literal(operand) and _scalar(operand.type) != scalar
                 for operand, scalar in zip(operands, parameters, strict=False)
             )
-        operands = operands[kind == "ternary" :]
+        operands = operands[category == "ternary" :]
         types = {operand.type for operand in operands}
-        if kind in ("unary", "prefix", "postfix", "ternary") and types & {*MATRICES}:
+        if category in ("unary", "prefix", "postfix", "ternary") and types & {*MATRICES}:
             return True
-        if kind == "unary" and sign == "+":
+        if category == "unary" and sign == "+":
             return True
         if types & {*MATRICES} and (sign == "/" or (sign in ("+", "-") and types & {*SCALARS})):
             return True
         # WGSL has no implicit conversions, except of literals.
         scalars = {_scalar(operand.type) for operand in operands if not _is_literal(operand)}
         explicit = node.type in SCALARS or (len(operands) == 1 and types & {*VECTORS})
-        if kind == "variable" or (kind == "construct" and not explicit):
+        if category == "variable" or (category == "construct" and not explicit):
             scalars.add(_scalar(node.type))
-        elif kind == "return" and operands:
+        elif category == "return" and operands:
             scalars.add(_scalar(self._known[self._function].type))
-        elif kind == "built-in" and node.name not in _OF_ALL_SCALARS:
+        elif category == "built-in" and node.name not in _OF_ALL_SCALARS:
             scalars.add("float")
-        elif kind not in ("binary", "assign", "ternary", "built-in") or sign in ("<<", ">>"):
+        elif category not in ("binary", "assign", "ternary", "built-in") or sign in ("<<", ">>"):
             scalars.clear()
         return len(scalars) > 1 or super().lacks(node)
 

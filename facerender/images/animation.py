@@ -17,20 +17,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import (
-    InputError,
-    check_path,
-    check_range,
-    check_type,
-    clipped,
-    number_of,
-    reason,
-    shown,
-)
+from facerender.errors import InputError, check_range, clipped, number_of, quoted, reason
 from facerender.images.files import FRAME_RATES, QUALITY, check_opaque, check_pixels
 from facerender.system.files import check_suffix, write_whole
+from facerender.values.fields import PATH
 
-MOST_COLUMNS = 4  # default largest number of images in a row
+MAX_COLUMNS = 4  # default largest number of images in a row
 _BYTES = 24  # per pixel: 8-bit RGB, and float32 RGBA of a Frame
 _TEXT = 11, 32  # smallest and largest size of the font, in pixels
 _PAPER, _INK = (255, 255, 255), (20, 20, 20)
@@ -39,14 +31,13 @@ _PAPER, _INK = (255, 255, 255), (20, 20, 20)
 def arranged(
     images: Sequence[NDArray[np.uint8]], titles: Sequence[str] = (), columns: int | None = None
 ) -> NDArray[np.uint8]:
-    """Return one image (H, W, 3) with ``images`` in rows, on white. Raise InputError if the
-    sheet is too large.
+    """Return one image (H, W, 3) with ``images`` in rows, on white.
 
     images : (h, w, 3) each, of one size
     titles : one text above each image; default: no titles
-    columns : number of images in a row; default: all, at most :data:`MOST_COLUMNS`
+    columns : number of images in a row; default: all, at most :data:`MAX_COLUMNS`
     """
-    columns = columns or min(len(images), MOST_COLUMNS)
+    columns = columns or min(len(images), MAX_COLUMNS)
     rows = math.ceil(len(images) / columns)
     height, width = images[0].shape[:2]
     gap = max(width // 64, 2)
@@ -87,9 +78,8 @@ _HIGHEST = 16383  # largest side of a WebP, in pixels
 def save_animation(
     path: str | os.PathLike[str], images: Iterable[NDArray[np.uint8]], fps: float = 12.0
 ) -> None:
-    """Write an animation as .gif, .webp or .mp4 (H.264). A .gif or .webp repeats forever.
-
-    If writing fails, no partial file is left.
+    """Write an animation as .gif, .webp or .mp4 (H.264; needs the extra ``mp4``). A .gif or .webp
+    repeats forever. If writing fails, no partial file is left.
 
     Parameters
     ----------
@@ -97,14 +87,8 @@ def save_animation(
         them; a generator is read one image at a time. A .webp also accepts (H, W, 4). An .mp4 with
         an odd height or width gets one more row or column, which is black
     fps : images per second, in [0.1, 100]; a GIF rounds delays to hundredths of a second
-
-    Raises
-    ------
-    InputError : unknown suffix, no images, transparent images for a .gif or .mp4, a path that
-        cannot be written; for an .mp4 a missing imageio-ffmpeg or a failing encoder
     """
     suffix = check_animation(path, fps)
-    check_type("images", images, Iterable, "several arrays (H, W, 3) of uint8")
     checked = _checked(images, os.fspath(path))
     if (first := next(checked, None)) is None:
         raise InputError(f"no images for {path}: give at least one")
@@ -120,10 +104,8 @@ def save_animation(
 
 
 def check_animation(path: str | os.PathLike[str], fps: float) -> str:
-    """Return the path's suffix. Raise InputError if suffix or fps is invalid, or if an .mp4 cannot
-    be written because ffmpeg is missing."""
-    check_path("image file", path)
-    suffix = check_suffix(path, MOVING, "animation")
+    """Return the path's suffix after a check of suffix and fps and, for an .mp4, of ffmpeg."""
+    suffix = check_suffix(PATH.check("image file", path), MOVING, "animation")
     check_range("fps", fps, *FRAME_RATES)
     if suffix == ".mp4":
         _ffmpeg()
@@ -135,7 +117,7 @@ def _checked(images: Iterable[Any], path: str) -> Iterator[NDArray[np.uint8]]:
     for image in images:
         valid = isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.size > 0
         if not (valid and image.ndim == 3 and image.shape[2] in (3, 4)):
-            raise InputError(f"image = {shown(image)}: give an array (H, W, 3) of uint8")
+            raise InputError(f"image = {quoted(image)}: give an array (H, W, 3) of uint8")
         shape = shape or image.shape
         if image.shape != shape:
             raise InputError(

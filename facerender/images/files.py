@@ -1,7 +1,6 @@
 """Image files: decoding with Pillow, OpenEXR and NumPy, encoding as PNG, JPEG, WebP and EXR.
 
-Files are untrusted: size limits are checked before memory is allocated. Equal pixels and metadata
-give equal bytes. OpenEXR files need the package OpenEXR (the extra ``exr``)."""
+EXR files need the package OpenEXR, which is the extra ``exr``."""
 
 from __future__ import annotations
 
@@ -22,16 +21,11 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, clipped, reason
+from facerender.errors import InputError, clipped, reason
 from facerender.images.image import HALVED, ImageData, image_from_array
-from facerender.system.files import (
-    check_downloaded,
-    check_suffix,
-    open_file,
-    suffix_of,
-    write_bytes,
-)
-from facerender.system.process import redirected_stderr
+from facerender.system import files
+from facerender.system.process import optional, redirected_stderr
+from facerender.values.fields import PATH
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -60,18 +54,11 @@ def converted(problem: str, remedy: str = "; save it again") -> Iterator[None]:
 
 
 def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float) -> None:
-    """Check the size of an image before memory for its pixels is allocated.
+    """Check the size of an image before memory for its pixels is allocated. Raise TooLarge beyond
+    MAX_SIDE, MAX_PIXELS or MAX_BYTES, and InputError for no pixels, or more than the file can hold.
 
-    Parameters
-    ----------
     bytes_each : number of bytes of a decoded pixel
     of : size of the file in bytes; infinite for an image that is not from a file
-
-    Raises
-    ------
-    TooLarge : more than MAX_SIDE pixels on a side; more than MAX_PIXELS pixels; or more than
-        MAX_BYTES when decoded
-    InputError : no pixels, or more pixels than a file of this size can contain
     """
     size, content = f"{name} is {width} x {height} pixels", width * height * bytes_each
     if width < 1 or height < 1:
@@ -88,15 +75,9 @@ def check_pixels(name: str, width: int, height: int, bytes_each: int, of: float)
 def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], known: str) -> Image:
     """Open an image with Pillow and check its size. The pixels are decoded later.
 
-    Parameters
-    ----------
     content : bytes of the file, or the file, which must stay open until the pixels are decoded
     formats : accepted formats, as Pillow names them
     known : text for the error message that lists the recommended formats
-
-    Raises
-    ------
-    InputError : a format that is not accepted, a damaged file, or TooLarge
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -108,7 +89,7 @@ def open_image(content: bytes | BinaryIO, name: str, formats: tuple[str, ...], k
             image = Image.open(file, formats=formats)
         except UnidentifiedImageError:
             file.seek(0)
-            check_downloaded(file.read(64), f"{name} is")
+            files.check_downloaded(file.read(64), f"{name} is")
             raise InputError(f"{name} is not an image; give a {known}") from None
         except Image.DecompressionBombError as error:
             count = re.search("[0-9]+", str(error))
@@ -161,7 +142,7 @@ def save_exr(
 ) -> None:
     """Write linear pixels (H, W, 3 or 4) as OpenEXR; see :func:`exr_bytes` for the parameters."""
     channels = {"RGBA"[: linear.shape[-1]]: linear}
-    write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
+    files.write_bytes(path, exr_bytes(os.fspath(path), channels, metadata, rounded))
 
 
 def exr_bytes(
@@ -198,7 +179,11 @@ def _read_exr(path: Path, start: bytes, size: int) -> ImageData:
     OpenEXR = openexr(path)
     with converted(f"{path} cannot be read as OpenEXR"):
         attributes = _exr_attributes(path, start)
-        types = _exr_types(attributes[b"channels"])
+        types, listing, offset = dict[str, bytes](), attributes[b"channels"], 0
+        while listing[offset]:
+            end = listing.index(0, offset)
+            types[listing[offset:end].decode()] = listing[end + 1 : end + 5]  # the pixel type
+            offset = end + 17  # 12 other bytes follow the pixel type
         left, top, right, bottom = struct.unpack("<4i", attributes[b"dataWindow"])
         check_pixels(str(path), right - left + 1, bottom - top + 1, 4 * max(len(types), 4), size)
         names = [name for name in "RGBA" if {"R", name} <= {*types}] or sorted(types, reverse=True)
@@ -253,25 +238,10 @@ def _exr_attributes(path: Path, content: bytes) -> dict[bytes, bytes]:
     return header
 
 
-def _exr_types(channels: bytes) -> dict[str, bytes]:
-    """Return the pixel type of each channel, keyed by the channel name."""
-    types, offset = {}, 0
-    while channels[offset]:
-        end = channels.index(0, offset)
-        types[channels[offset:end].decode()] = channels[end + 1 : end + 5]
-        offset = end + 17  # 12 other bytes follow the pixel type
-    return types
-
-
 def openexr(path: str | os.PathLike[str]) -> Any:
     """Return the package OpenEXR. Raise InputError if it is not installed."""
-    try:
-        import OpenEXR
-    except ImportError:
-        raise InputError(
-            f"{path}: EXR files need the package OpenEXR; pip install 'facerender[exr]'"
-        ) from None
-    return OpenEXR
+    need = f"{path}: EXR files need the package OpenEXR"
+    return optional("OpenEXR", f"{need}; pip install 'facerender[exr]'")
 
 
 _8_BIT = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".gif", ".bmp", ".tga")
@@ -294,20 +264,15 @@ def read_image(path: str | os.PathLike[str]) -> ImageData:
 
     path : .exr (needs the extra ``exr``), .npz or .npy (linear floats, or 8-bit sRGB), .png, .jpg,
         .webp, .tif, .gif, .bmp or .tga (8-bit, one frame)
-
-    Raises
-    ------
-    InputError : the file is missing, damaged, too large or of another format
     """
-    check_path("image file", path)
-    path = Path(path)
-    suffix = suffix_of(path, SUFFIXES, "image", "an image file", MAX_BYTES)
-    with open_file(path, "an image file", MAX_BYTES) as file:
+    path = Path(PATH.check("image file", path))
+    suffix = files.suffix_of(path, SUFFIXES, "image", "an image file", MAX_BYTES)
+    with files.open_file(path, "an image file", MAX_BYTES) as file:
         size = os.fstat(file.fileno()).st_size
         content = file.read(1 << 24 if suffix == ".exr" else size)  # the header of an EXR file
     if not content:
         raise InputError(f"{path} is empty: save it again")
-    check_downloaded(content, f"{path} is")
+    files.check_downloaded(content, f"{path} is")
     if suffix == ".exr":
         return _read_exr(path, content, size)
     if suffix in (".npz", ".npy"):
@@ -420,7 +385,7 @@ PREFIX = "facerender:"
 
 def format_of(path: str | os.PathLike[str]) -> Format:
     """Return the output format for a path. Raise InputError if its suffix is unknown."""
-    return WRITTEN[check_suffix(path, (*WRITTEN,), "image")]
+    return WRITTEN[files.check_suffix(path, (*WRITTEN,), "image")]
 
 
 def check_opaque(name: str, transparent: bool) -> None:
@@ -433,7 +398,7 @@ def save_png(
     path: str | os.PathLike[str], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
 ) -> None:
     """Write pixels as PNG; see :func:`png_bytes` for the parameters."""
-    write_bytes(path, png_bytes(pixels, metadata))
+    files.write_bytes(path, png_bytes(pixels, metadata))
 
 
 def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[str, str]) -> bytes:
@@ -467,22 +432,21 @@ def png_bytes(pixels: NDArray[np.uint8] | NDArray[np.uint16], metadata: Mapping[
 
 
 def lossy_bytes(
-    kind: Literal["jpeg", "webp"], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
+    encoder: Literal["jpeg", "webp"], pixels: NDArray[np.uint8], metadata: Mapping[str, str]
 ) -> bytes:
     """Return a JPEG or WebP of 8-bit pixels (H, W, 3); WebP also accepts (H, W, 4), straight alpha.
 
     The Exif field ImageDescription contains the metadata as JSON. JPEG chroma is not subsampled.
-    Raise InputError for alpha in a JPEG, and for more pixels on a side than the format allows.
     """
     from PIL import Image
 
-    if kind == "jpeg":
+    if encoder == "jpeg":
         check_opaque("JPEG", pixels.shape[-1] == 4)
     exif = Image.Exif()
     exif[0x010E] = json.dumps(dict(metadata))  # ImageDescription
     height, width = pixels.shape[:2]
     problem, remedy = f"cannot store {width} x {height} pixels", ": give a smaller size, or .png"
     file = BytesIO()
-    with converted(f"{kind} {problem}", remedy):
-        Image.fromarray(pixels).save(file, kind, quality=QUALITY, subsampling=0, exif=exif)
+    with converted(f"{encoder} {problem}", remedy):
+        Image.fromarray(pixels).save(file, encoder, quality=QUALITY, subsampling=0, exif=exif)
     return file.getvalue()

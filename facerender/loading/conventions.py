@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +29,7 @@ _AFFIXES = {
     *("mat", "mtl", "material", "shader", "primitive"),
 }
 # Words of anatomy that are known names, also with affixes and sides, or after "eye".
-_WORDS = {
+WORDS = {
     "cornea": "Cornea",
     "tear": "LacrimalFluid TearLine TearFilm Tear Tears EyeBlend EyeEdge Cartilage Saliva",
     "sclera": "Sclera Eyeball Eyeballs",
@@ -41,7 +42,7 @@ _WORDS = {
 }
 # Names that are known as a whole. "head", "face" and "eye" are not known names, because a file of
 # any kind may use these words.
-_WHOLE = {
+WHOLE_NAMES = {
     "skin": "M_Face M_BackHead Wolf3D_Head Wolf3D_Skin Wolf3D_Body Std_Skin_Head Std_Skin_Body "
     "Std_Skin_Arm Std_Skin_Leg CC_Base_Head head_lod0_mesh",
     "sclera": "EyeLeft EyeRight LeftEye RightEye Wolf3D_Eye Std_Eye_L Std_Eye_R CC_Base_Eye",
@@ -53,13 +54,17 @@ _NOT_SKIN = {
     *("eyelashes", "eyebrow", "eyebrows", "brows", "hair", "beard", "teeth"),
 }
 _SKIN = {"skin", "lid", "lids", "socket", "sockets"}
-KNOWN = {name: [*_WHOLE.get(name, "").split(), *_WORDS.get(name, "").split()] for name in PRESETS}
-_WORDS_BY_LETTERS, _WHOLE_BY_LETTERS = (
-    {"".join(words_of(name)): preset for preset, text in names.items() for name in text.split()}
-    for names in (_WORDS, _WHOLE)
-)
 # Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
 _EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
+
+
+@cache  # not computed for a mesh from the cache
+def _presets_by_letters() -> list[dict[str, str]]:
+    """Return the presets of words and of whole names, keyed by their letters in lower case."""
+    return [
+        {"".join(words_of(name)): preset for preset, text in names.items() for name in text.split()}
+        for names in (WORDS, WHOLE_NAMES)
+    ]
 
 
 def preset_for(name: str) -> str | None:
@@ -68,27 +73,31 @@ def preset_for(name: str) -> str | None:
     bare = [word for word in words if word not in _AFFIXES]
     stem = [word for word in bare if word not in _SIDES]
     of_eye = stem[1:] if stem[:1] in (["eye"], ["eyes"]) else stem
-    matches = [_WHOLE_BY_LETTERS.get("".join(candidate)) for candidate in (words, bare)]
-    matches += [_WORDS_BY_LETTERS.get("".join(candidate)) for candidate in (stem, of_eye)]
+    of_words, of_names = _presets_by_letters()
+    matches = [of_names.get("".join(candidate)) for candidate in (words, bare)]
+    matches += [of_words.get("".join(candidate)) for candidate in (stem, of_eye)]
     return next(filter(None, matches), None)
 
 
-def mark_skin(pieces: Sequence[Piece]) -> None:
+def apply_names(pieces: Sequence[Piece], file: str, as_is: bool) -> None:
     """Set ``skin`` of each piece: false if its name or its material's name is a name of eyes,
-    lashes, teeth or hair."""
-    for piece, preset in zip(pieces, _presets_of(pieces), strict=True):
+    lashes, teeth or hair. Unless ``as_is``, give presets to pieces with known names, with a
+    warning that names the ``file``."""
+    presets = [preset_for(piece.material_name) or preset_for(piece.name) for piece in pieces]
+    if {"lashes", "teeth"} & {*presets}:
+        pairs = zip(pieces, presets, strict=True)
+        presets = ["sclera" if _stem(piece) in _EYES else preset for piece, preset in pairs]
+    for piece, preset in zip(pieces, presets, strict=True):
         names = {*words_of(piece.name)}, {*words_of(piece.material_name)}
         excluded = any(words & _NOT_SKIN and not words & _SKIN for words in names)
         piece.skin = preset in (None, "skin", "lips") and not excluded
-
-
-def give_presets(pieces: Sequence[Piece], name: str) -> None:
-    """Give presets to pieces with known names, and warn of it."""
+    if as_is:
+        return
     part_names: dict[str, list[str]] = {}
     # Names of ICT-FaceKit without sides: miris, msclera, meyelashes
     eyes = [_stem(piece) == "miris" and _has_ict_iris(piece) for piece in pieces]
     eye_map = _eye_map() if any(eyes) else None
-    for piece, preset, eye in zip(pieces, _presets_of(pieces), eyes, strict=True):
+    for piece, preset, eye in zip(pieces, presets, eyes, strict=True):
         if eye_map and _stem(piece) == "msclera":
             preset = "cornea"  # the clear shell around the eyeball of the iris
         if preset is None or not _is_bare(piece):
@@ -104,15 +113,7 @@ def give_presets(pieces: Sequence[Piece], name: str) -> None:
         part_names.setdefault(preset, []).append(piece.name or piece.material_name)
     if part_names:
         all_ = "; ".join(f"{preset} for {', '.join(names)}" for preset, names in part_names.items())
-        warn(f"{name}: presets by name: {clipped(all_, 400)}; --as-is keeps the file's own")
-
-
-def _presets_of(pieces: Sequence[Piece]) -> list[str | None]:
-    presets = [preset_for(piece.material_name) or preset_for(piece.name) for piece in pieces]
-    if {"lashes", "teeth"} & {*presets}:
-        eyes = [_stem(piece) in _EYES for piece in pieces]
-        return ["sclera" if eye else preset for eye, preset in zip(eyes, presets, strict=True)]
-    return presets
+        warn(f"{file}: presets by name: {clipped(all_, 400)}; --as-is keeps the file's own")
 
 
 def _is_bare(piece: Piece) -> bool:

@@ -17,7 +17,8 @@ from facerender.loading.gltf_document import COMPONENTS, TYPES, Doc, check_conve
 from facerender.loading.source import References, inline
 from facerender.mesh.repair import unique
 from facerender.mesh.rig import Clip, Interpolation, Path, Shape, Track
-from facerender.system.meshoptimizer import library
+from facerender.mesh.simplify import library
+from facerender.system.process import optional
 
 TRIANGLES, _FAN = 4, 6  # primitive modes; mode 5 is a strip
 # A decompressed view has at most _MAX_VALUES bytes. A decompressed view of more than _SMALL bytes
@@ -51,12 +52,7 @@ def _decoded(content: bytes, view: Doc, name: str) -> memoryview:
         raise ValueError(f"{label} must not have the filter {filter_}")
     if count * size > min(max(_DECODED_TIMES * len(content), _SMALL), _MAX_VALUES):
         raise ValueError(f"{label} is too large for its {len(content)} bytes")
-    try:
-        functions = library()
-    except ImportError:
-        raise InputError(
-            f"{name} is compressed with meshopt: pip install 'facerender[lod]'"
-        ) from None
+    functions = library(f"{name} is compressed with meshopt: pip install 'facerender[lod]'")
     values = np.empty(count * size, dtype=np.uint8)
     decode = getattr(functions, f"meshopt_{function}")
     if decode(values.ctypes.data, count, size, content, len(content)):
@@ -317,14 +313,11 @@ class Primitive:
 
     def _draco(self, draco: Doc) -> dict[str, NDArray[Any]]:
         """Return the decompressed attributes, keyed by name. Any faces have the key "faces"."""
-        try:
-            import DracoPy
-        except ImportError:
-            name = self.buffers.name
-            raise InputError(f"{name} is compressed with Draco: pip install DracoPy") from None
+        missing = f"{self.buffers.name} is compressed with Draco: pip install DracoPy"
+        decoder = optional("DracoPy", missing)
         content = bytes(self.buffers.view(draco["bufferView"]))
         try:
-            decoded = DracoPy.decode(content)
+            decoded = decoder.decode(content)
             arrays = {item["unique_id"]: np.asarray(item["data"]) for item in decoded.attributes}
             faces = getattr(decoded, "faces", None)
         except Exception as error:  # DracoPy raises several exceptions
@@ -431,11 +424,11 @@ class RigReader:
         return self.times[index]
 
     def joints(self, nodes: Iterable[int]) -> tuple[tuple[str, int], ...]:
-        """Return a unique name and the number of each of the nodes that is a joint of a skin."""
+        """Return a unique name and the index of each of the nodes that is a joint of a skin."""
         joints = {joint for skin in self.document["skins"] for joint in skin["joints"]}
-        numbers = [number for number in nodes if number in joints]
-        stored_names = [self.document["nodes"][number].get("name") for number in numbers]
-        return tuple(zip(_named(stored_names, "joint", len(numbers)), numbers, strict=True))
+        indices = [index for index in nodes if index in joints]
+        stored_names = [self.document["nodes"][index].get("name") for index in indices]
+        return tuple(zip(_named(stored_names, "joint", len(indices)), indices, strict=True))
 
     def shapes(self, primitive: Primitive) -> tuple[Shape, ...]:
         """Return the morph targets of a primitive. The first list targetNames in the extras of the
@@ -453,22 +446,20 @@ class RigReader:
         rows: dict[str, tuple[Any, Any]] = dict.fromkeys(("POSITION", "NORMAL"), (None, None))
         try:
             for key, accessor in primitive.targets[index].items():
-                where = f"{primitive.where}.targets[{index}]: {key}"
-                rows[key] = self._moves(accessor, primitive, where)
+                if _layout(self.document["accessors"][accessor])[1] != (
+                    len(primitive.positions),
+                    3,
+                ):
+                    where = f"{primitive.where}.targets[{index}]: {key}"
+                    raise ValueError(f"{where} has the wrong number of entries")
+                rows[key] = indices, moves = self._read(accessor, moves=True)
+                if not isinstance(primitive.vertices, slice):  # the part keeps some vertices
+                    kept = np.isin(indices, primitive.vertices)
+                    indices = np.searchsorted(primitive.vertices, indices[kept])
+                    rows[key] = indices.astype(np.uint32), moves[kept]
         except ValueError as error:
             return Shape(name, fault=clipped(str(error)))
         return Shape(name, *rows["POSITION"], *rows["NORMAL"])
-
-    def _moves(self, index: int, primitive: Primitive, where: str) -> tuple[Any, Any]:
-        """Return the rows of an accessor that are not 0, of the vertices that the part keeps."""
-        if _layout(self.document["accessors"][index])[1] != (len(primitive.positions), 3):
-            raise ValueError(f"{where} has the wrong number of entries")
-        rows, moves = self._read(index, moves=True)
-        if isinstance(primitive.vertices, slice):
-            return rows, moves
-        kept = np.isin(rows, primitive.vertices)
-        rows = np.searchsorted(primitive.vertices, rows[kept])
-        return rows.astype(np.uint32), moves[kept]
 
 
 def _named(names: list[Any], noun: str, count: int) -> Iterator[str]:

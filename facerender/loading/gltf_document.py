@@ -9,14 +9,15 @@ import reprlib
 import struct
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from pathlib import PurePath
 from typing import Any
 
 from facerender.errors import InputError, reason
 
 _JSON, _BINARY = 0x4E4F534A, 0x004E4942  # chunk types
-_MOST_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
-_MOST_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
+_MAX_VALUES = 2_000_000  # values per document; a value takes up to 100 bytes of memory
+_MAX_ENTRIES = 1 << 17  # maximum length of a list of the document, such as "nodes"
 Doc = dict[str, Any]
 
 # The properties of each JSON object and their types; ! marks required properties. Type "#nodes" is
@@ -95,10 +96,6 @@ _SCHEMA = {
     "target": "node: #nodes, path!: text",
     "keys": "input!: #accessors, output!: #accessors, interpolation: text",
 }
-_OBJECTS = {
-    name: dict(entry.split(": ") for entry in text.split(", ") if text)
-    for name, text in _SCHEMA.items()
-}
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 TYPES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
@@ -124,6 +121,12 @@ _VALUES: dict[str, tuple[Callable[[Any], bool], Callable[[Any], Any], str]] = {
     "type": (lambda value: isinstance(value, str) and value in TYPES, str, "a glTF accessor type"),
     "mode": (lambda value: _is_size(value) and value in range(7), int, "a glTF primitive mode"),
 }
+
+
+@cache
+def _properties(name: str) -> dict[str, str]:
+    """Return the type of each property of an object of _SCHEMA."""
+    return dict(entry.split(": ") for entry in _SCHEMA[name].split(", ") if entry)
 
 
 def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
@@ -156,10 +159,7 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
 
 
 def check_conversion(name: str, data: bytes | memoryview, size: int) -> None:
-    """Raise InputError if a conversion of text changed binary data.
-
-    size : number of bytes before the conversion
-    """
+    """Raise InputError if a conversion of text changed binary data of originally ``size`` bytes."""
     if len(data) == size:
         return
     data = bytes(data)
@@ -187,29 +187,24 @@ def _converted(name: str, how: str) -> InputError:
 
 
 def document_of(text: bytes, name: str) -> Doc:
-    """Parse and check the JSON of a glTF file. Return only the properties of _SCHEMA.
-    Missing lists of the document become empty.
-
-    Raises
-    ------
-    InputError : the text is not JSON, has no mesh, has an invalid property, or exceeds a limit
-    """
-    if text.count(b",") + text.count(b"[") + text.count(b"{") > _MOST_VALUES:
-        raise InputError(f"{name} has more than {_MOST_VALUES} values in its JSON: simplify it")
+    """Parse and check the JSON of a glTF file. Return only the properties of _SCHEMA. Missing lists
+    of the document become empty."""
+    if text.count(b",") + text.count(b"[") + text.count(b"{") > _MAX_VALUES:
+        raise InputError(f"{name} has more than {_MAX_VALUES} values in its JSON: simplify it")
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
         why = f"its JSON cannot be read ({reason(error).partition(';')[0]})"
         raise InputError(f"{name} is not glTF: {why}; export it again") from None
-    properties = _OBJECTS["document"]
+    properties = _properties("document")
     if not isinstance(document, dict) or document.keys().isdisjoint({"asset", *properties}):
         raise InputError(f"{name} is not glTF but other JSON ({reprlib.repr(document)})")
     if document.get("meshes", []) == []:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
     for key in properties:
-        if (count := _count(document, key)) > _MOST_ENTRIES:
+        if (count := _count(document, key)) > _MAX_ENTRIES:
             raise InputError(
-                f"{name} has {count} {key}, but the limit is {_MOST_ENTRIES}: simplify it"
+                f"{name} has {count} {key}, but the limit is {_MAX_ENTRIES}: simplify it"
             )
     try:
         valid = checked(document, "document", "", document)
@@ -227,9 +222,8 @@ def damaged(name: str, what: str) -> InputError:
 
 
 def checked(value: Any, shape: str, where: str, document: Doc) -> Any:
-    """Convert a value of a document to the type ``shape``, see _SCHEMA; raise ValueError if this
-    fails."""
-    if shape in _OBJECTS or shape[0] == "{":
+    """Convert a value of a document to a type of _SCHEMA, or raise ValueError."""
+    if shape in _SCHEMA or shape[0] == "{":
         _expect(isinstance(value, dict), value, where, "an object")
         if shape[0] == "{":
             return {
@@ -237,7 +231,7 @@ def checked(value: Any, shape: str, where: str, document: Doc) -> Any:
                 for key, entry in value.items()
             }
         result = {}
-        for key, inner in _OBJECTS[shape].items():
+        for key, inner in _properties(shape).items():
             name = key.rstrip("!")
             path = f"{where}.{name}" if where else name
             if name in value:
@@ -265,10 +259,10 @@ def _expect(good: bool, value: Any, where: str, description: str) -> None:
         raise ValueError(f"{where} = {reprlib.repr(value)} is not {description}")
 
 
-# Keyed by extension: fate, and details for users. "drawn": supported; "warned": ignored with a
+# Keyed by extension: fate: details for users. "drawn": supported; "warned": ignored with a
 # warning; "refused": an error if the file requires the extension, otherwise ignored with a warning;
 # "ignored": ignored silently.
-_EXTENSIONS = {
+EXTENSIONS = {
     "KHR_texture_transform": "drawn: applied to the texture coordinates",
     "KHR_mesh_quantization": "drawn: all component types",
     "KHR_draco_mesh_compression": "drawn: requires `facerender[draco]`",
@@ -302,4 +296,3 @@ _EXTENSIONS = {
     "KHR_xmp_json_ld": "ignored: metadata",
     "MSFT_lod": "ignored: the node itself, the finest level, is drawn",
 }
-EXTENSIONS = {name: tuple(row.split(": ", 1)) for name, row in _EXTENSIONS.items()}

@@ -18,7 +18,7 @@ from contextlib import suppress
 from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,11 @@ from facerender import __version__
 from facerender.errors import FacerenderError, warn
 from facerender.loading.source import Source, content_of
 from facerender.material import MAPS, PROPERTY_MAPS, Material
-from facerender.mesh.face import RELIEFS
 from facerender.mesh.mesh import Mesh
 from facerender.system import cache
-from facerender.system.files import digest_of
+from facerender.system.files import data_dir, digest_of
 from facerender.texture.mips import Kind, Levels
 from facerender.texture.texture import LARGE, Texture, pack
-from facerender.values.vectors import Vector
 
 _FOLDER = "meshes"
 _ALIGNMENT = 64
@@ -49,29 +47,18 @@ _CHAINS: dict[str, Kind] = {
 # 5 ms.
 _MODULES = {
     **{"Geometry": "mesh.geometry", "Material": "material", "Mesh": "mesh.mesh"},
-    **dict.fromkeys(("Part", "Region"), "mesh.part"),
-    **{"Face": "mesh.face", "Framing": "mesh.framing"},
+    **dict.fromkeys(("Face", "Framing", "Part", "Region"), "mesh.part"),
     **dict.fromkeys(("Clip", "Node", "Rig", "Shape", "Skeleton", "Skin", "Track"), "mesh.rig"),
 }
 
 
-class LoadOptions(NamedTuple):
-    """Options of :func:`facerender.load_mesh`."""
-
-    flip_v: bool
-    normal_map_y: str
-    allow_outside: bool
-    as_is: bool
-    parts: tuple[str, ...]
-    hide: tuple[str, ...]
-    up: str
-    rotate: Vector
-
-
-def entry_name(source: Source, maps: Mapping[str, tuple[str, bytes]], options: LoadOptions) -> str:
+def entry_name(
+    source: Source, maps: Mapping[str, tuple[str, bytes]], options: Sequence[Any]
+) -> str:
     """Return the name of the cache entry of a mesh.
 
     maps : name and content of the image files that replace maps, keyed by the field of Material
+    options : values of a MeshFile on which the mesh depends
     """
     names = [source.path.name, *((field, name) for field, (name, _) in maps.items())]
     inputs = __version__, _code(), names, source.suffix, options
@@ -113,7 +100,7 @@ def store(
         for a missing file
     has_albedo : whether the caller replaced the albedo map
     """
-    maps = (getattr(material, name) for material in mesh.materials for name in MAPS)
+    maps = (getattr(material, field) for material in mesh.materials for field in MAPS)
     # The warning of a missing image depends on other files in the mesh's folder. Storing large maps
     # would decode them at full resolution.
     if (
@@ -123,7 +110,14 @@ def store(
     ):
         return
     digests = {file: None if data is None else digest_of(data) for file, data in files.items()}
-    chains = _start(mesh)
+    chains: dict[Texture, dict[Kind, Future[Levels]]] = {}
+    for material in mesh.materials:  # start to decode every map
+        for field in (*MAPS, "property_map"):
+            if (texture := getattr(material, field)) is not None:
+                futures = chains.setdefault(texture, {})
+                apart = field in PROPERTY_MAPS and not material.packs
+                if (mip_kind := "data" if apart else _CHAINS.get(field)) is not None:
+                    futures[mip_kind] = texture.levels(mip_kind)
 
     def write() -> None:
         with suppress(FacerenderError):  # a damaged map: drawing it reports the error
@@ -139,22 +133,13 @@ def _code() -> list[tuple[str, int, int]]:
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "mesh", "texture", "values"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))
-    paths += [_PACKAGE / "material.py", _PACKAGE / "system/files.py", RELIEFS]
+    paths += [
+        _PACKAGE / "material.py",
+        _PACKAGE / "system/files.py",
+        data_dir("assets") / "relief.npy",
+    ]
     files = ((path, path.stat()) for path in paths)
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in files]
-
-
-def _start(mesh: Mesh) -> dict[Texture, dict[Kind, Future[Levels]]]:
-    """Start to decode every map, and return the futures of the mip chains."""
-    chains: dict[Texture, dict[Kind, Future[Levels]]] = {}
-    for material in mesh.materials:
-        for name in (*MAPS, "property_map"):
-            if (texture := getattr(material, name)) is not None:
-                futures = chains.setdefault(texture, {})
-                apart = name in PROPERTY_MAPS and not material.packs
-                if (kind := "data" if apart else _CHAINS.get(name)) is not None:
-                    futures[kind] = texture.levels(kind)
-    return chains
 
 
 def _encoded(

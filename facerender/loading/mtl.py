@@ -20,7 +20,7 @@ from facerender.loading.source import References, text_of
 from facerender.material import MAX_NORMAL_STRENGTH, SKIN_ALBEDO, Material
 from facerender.terms.lobe import MAX_SLOPE, MIN_SLOPE
 from facerender.texture.texture import Texture
-from facerender.values.vectors import MOST_RADIANCE, Vector
+from facerender.values.vectors import MAX_RADIANCE, Vector
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -139,17 +139,17 @@ class Library:
         """Return a material for the name that each part of the OBJ file has, which is "" without
         usemtl. If all parts have one name, they get the only material of an MTL file. Warn of names
         that the MTL file lacks."""
-        known, missing = [*self.materials], sorted({*names} - self.materials.keys())
-        if not known or not missing:
+        valid_names, missing = [*self.materials], sorted({*names} - self.materials.keys())
+        if not valid_names or not missing:
             return [*names]
-        listing = clipped(", ".join(known), 120)
-        if len(known) == len({*names}) == 1:
+        listing = clipped(", ".join(valid_names), 120)
+        if len(valid_names) == len({*names}) == 1:
             if names[0]:
                 self.warn(
                     f"{self.name} uses the material {clipped(names[0], 60)}, but its MTL has only "
                     f"{listing}: this is used"
                 )
-            return known * len(names)
+            return valid_names * len(names)
         for name in missing:
             used = f"uses the material {clipped(name, 60)}" if name else "has faces without usemtl"
             self.warn(
@@ -158,7 +158,7 @@ class Library:
             )
         return [*names]
 
-    def look(self, name: str, has_colors: bool) -> tuple[Material, MapStatement]:
+    def material_uv(self, name: str, has_colors: bool) -> tuple[Material, MapStatement]:
         """Return a material and its first map, which transforms its texture coordinates, or the
         default material if the name is not defined."""
         white = (1.0, 1.0, 1.0)
@@ -167,18 +167,23 @@ class Library:
         for key in statements.keys() - _KNOWN:
             if key not in _LAYERS or any(self._numbers(statements, key)):
                 self.warn(f"{self.name} has {clipped(key, 40)} in its MTL: ignored")
-        uses = self._uses(statements)
-        fields: dict[str, Any] = {field: self._texture(field, use) for field, use in uses.items()}
-        first = next(iter(uses.values()), MapStatement())  # that of the albedo, if there is one
-        for use in uses.values():
-            if (use.scale, use.offset) != (first.scale, first.offset):
+        maps: dict[str, MapStatement] = {}
+        for key, (field, _) in _MAPS.items():
+            if key in statements and field not in maps:
+                statement = self._options(key, statements[key])
+                if statement.name:
+                    maps[field] = statement
+        fields: dict[str, Any] = {field: self._texture(field, s) for field, s in maps.items()}
+        first = next(iter(maps.values()), MapStatement())  # that of the albedo, if there is one
+        for statement in maps.values():
+            if (statement.scale, statement.offset) != (first.scale, first.offset):
                 self.warn(
-                    f"{clipped(use.name, 80)} (named by {self.name}) has other options -s and -o "
-                    f"than {clipped(first.name, 80)}: ignored, because all maps of a material have "
-                    "one scale and offset"
+                    f"{clipped(statement.name, 80)} (named by {self.name}) has other options -s "
+                    f"and -o than {clipped(first.name, 80)}: ignored, because all maps of a "
+                    "material have one scale and offset"
                 )
-        if "normal_map" in uses:
-            fields["normal_strength"] = uses["normal_map"].strength
+        if "normal_map" in maps:
+            fields["normal_strength"] = maps["normal_map"].strength
         has_albedo_map = fields.get("albedo_map") is not None
         albedo = self._color(statements, "kd", white)
         if "map_kd" in statements and not has_albedo_map and min(albedo) > 0.99:
@@ -200,9 +205,8 @@ class Library:
 
     def _clamped(self, key: str, value: float, high: float = 1.0) -> float:
         if not 0.0 <= value <= high:
-            self.warn(
-                f"{key} {value:.6g} in the MTL of {self.name} is outside [0, {high:g}]: clamped"
-            )
+            problem = f"is outside [0, {high:g}]: clamped"
+            self.warn(f"{key} {value:.6g} in the MTL of {self.name} {problem}")
         return min(max(value, 0.0), high)
 
     def _color(self, statements: Mapping[str, str], key: str, default: Vector) -> Vector:
@@ -210,9 +214,9 @@ class Library:
         if not (numbers := self._numbers(statements, key)):
             return default
         rgb = numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3
-        high = MOST_RADIANCE if key == "ke" else 1.0
+        high = MAX_RADIANCE if key == "ke" else 1.0
         srgb = np.array([self._clamped(key, channel, high) for channel in rgb])
-        red, green, blue = np.minimum(srgb_to_linear(srgb), MOST_RADIANCE).tolist()
+        red, green, blue = np.minimum(srgb_to_linear(srgb), MAX_RADIANCE).tolist()
         return red, green, blue
 
     def _opacity(self, name: str, statements: Mapping[str, str]) -> dict[str, Any]:
@@ -266,19 +270,9 @@ class Library:
                 "export one map per part"
             )
 
-    def _uses(self, statements: Mapping[str, str]) -> dict[str, MapStatement]:
-        """Return the statements of maps, keyed by the field of the material."""
-        uses: dict[str, MapStatement] = {}
-        for key, (field, _) in _MAPS.items():
-            if key in statements and field not in uses:
-                use = self._options(key, statements[key])
-                if use.name:
-                    uses[field] = use
-        return uses
-
     def _options(self, key: str, text: str) -> MapStatement:
         """Parse the statement of a map."""
-        use = MapStatement(channel="normal" if key == "norm" else "")
+        statement = MapStatement(channel="normal" if key == "norm" else "")
         words = re.findall("[^ ]+ *", text)  # keeps the spaces of file names
         while words and (option := words[0].strip().lower()) in _OPTIONS:
             values = [word.strip() for word in words[1 : 1 + _OPTIONS[option]]]
@@ -287,15 +281,15 @@ class Library:
             del words[: 1 + len(values)]
             numbers = [float(value) for value in values if _is_number(value)]
             if option == "-s":
-                use.scale = (*numbers[:2], *use.scale[len(numbers) :])
+                statement.scale = (*numbers[:2], *statement.scale[len(numbers) :])
             elif option == "-o":
-                use.offset = (*numbers[:2], *use.offset[len(numbers) :])
+                statement.offset = (*numbers[:2], *statement.offset[len(numbers) :])
             elif option == "-bm" and numbers:
-                use.strength = self._clamped("-bm", numbers[0], MAX_NORMAL_STRENGTH)
+                statement.strength = self._clamped("-bm", numbers[0], MAX_NORMAL_STRENGTH)
             elif option == "-clamp":
-                use.clamp = values == ["on"]
+                statement.clamp = values == ["on"]
             elif option == "-imfchan" and values:
-                use.channel = values[0]
+                statement.channel = values[0]
             elif (
                 (option == "-t" and any(numbers))
                 or (option == "-mm" and numbers != [0.0, 1.0])
@@ -303,22 +297,22 @@ class Library:
             ):
                 map_name = _MAPS[key][1]
                 self.warn(f"the {map_name} map of {self.name} has the option {option}: ignored")
-        use.name = "".join(words).strip().strip('"')
-        return use
+        statement.name = "".join(words).strip().strip('"')
+        return statement
 
-    def _texture(self, field: str, use: MapStatement) -> Texture | None:
+    def _texture(self, field: str, statement: MapStatement) -> Texture | None:
         """Return the texture of a map, or None if its image is missing or unreadable."""
-        key = field, use.name, use.channel, use.clamp
+        key = field, statement.name, statement.channel, statement.clamp
         if key in self.textures:
             return self.textures[key]
         self.textures[key] = None
         map_name, silent = field.removesuffix("_map"), field == "albedo_map"
-        content = self.referred.image(use.name, map_name, not self.albedo_given, silent)
+        content = self.referred.image(statement.name, map_name, not self.albedo_given, silent)
         if content is None:
             return None
-        name = clipped(use.name, 80)
-        uses_alpha = field == "opacity_map" and use.channel in ("", "m")
-        if field == "normal_map" and use.channel != "normal":
+        name = clipped(statement.name, 80)
+        uses_alpha = field == "opacity_map" and statement.channel in ("", "m")
+        if field == "normal_map" and statement.channel != "normal":
             texture = Texture.of(content, name).changed(
                 lambda image: image if _is_normal_map(image) else _normals(image)
             )
@@ -328,8 +322,8 @@ class Library:
             texture = self.images.get(name) or Texture.of(content, name)
             self.images[name] = texture
             if field in ("opacity_map", "roughness_map", "specular_map"):
-                texture = texture.channel({"g": 1, "b": 2}.get(use.channel, 0), name)
-        texture = texture.sampled(("clamp", "clamp")) if use.clamp else texture
+                texture = texture.channel({"g": 1, "b": 2}.get(statement.channel, 0), name)
+        texture = texture.sampled(("clamp", "clamp")) if statement.clamp else texture
         self.textures[key] = texture
         return texture
 

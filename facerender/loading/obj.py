@@ -31,17 +31,10 @@ _Keys = tuple[str, str, str]  # names of object, group and material
 
 def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
     """Return a piece for each combination of object, group and material that has faces. Its
-    vertices are the different corners of its faces, in the order of the vertices of the file.
-
-    albedo_given : whether the caller replaces albedo maps, which may then be missing or unreadable
-
-    Raises
-    ------
-    InputError : the file has no faces, too many parts, or is UTF-16 without a byte order mark
-    ValueError : a vertex is not three numbers, or no face has valid references
-    """
+    vertices are the different corners of its faces, in the order of the vertices of the file. Raise
+    ValueError if a vertex is not three numbers, or no face has valid references."""
     name = references.name
-    lines = _Lines(_normalized(data, name))
+    lines = _Lines(data, name)
     vertices, counts = lines.table(b"v", 7)
     has_faces = len(lines.numbers(b"f")) > 0
     if not len(vertices) or not has_faces:
@@ -56,11 +49,11 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
         raise ValueError(f"none of its {dropped} faces has valid references")
     parts, numbers = _parts(owners, np.searchsorted(owner_lines, faces[:, 0]) - 1, name)
     library = Library(libraries, references, albedo_given)
-    look = cache(library.look)  # parts share materials
+    material_uv = cache(library.material_uv)  # parts share materials
     materials = library.matched([material for *_, material in parts])
     pieces, lacking = [], 0
     for index, (part_name, material_name) in enumerate(zip(_names(parts), materials, strict=True)):
-        material, first_map = look(material_name, colors is not None)
+        material, first_map = material_uv(material_name, colors is not None)
         triangles = triangles_of(*faces[numbers == index, 1:].T)
         part_corners, triangles = vertices_of(corners, triangles)
         sources, of_uv, of_normals = part_corners.T
@@ -95,19 +88,17 @@ def read_obj(data: bytes, references: References, albedo_given: bool) -> list[Pi
     return pieces
 
 
-def _normalized(data: bytes, name: str) -> str:
-    """Return the text of an OBJ file without tabs, continuation lines and indentation."""
-    if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
-        raise InputError(f"{name} is UTF-16 without a byte order mark: save it as UTF-8")
-    if b"#MRGB" in data:
-        warn(f"{name} has colours of ZBrush (#MRGB), which are not read: export it as .ply or .glb")
-    return _INDENT.sub("", text_of(data).replace("\t", " ").replace("\\\n", ""))
-
-
 class _Lines:
-    """The bytes (N,) of an OBJ file, and the first byte and the newline (L,) of each line."""
+    """The bytes (N,) of an OBJ file without tabs, continuation lines and indentation, and the first
+    byte and the newline (L,) of each line."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, data: bytes, name: str) -> None:
+        if any(half and not half.strip(b"\0") for half in (data[:128:2], data[1:128:2])):
+            raise InputError(f"{name} is UTF-16 without a byte order mark: save it as UTF-8")
+        if b"#MRGB" in data:
+            problem = "has colours of ZBrush (#MRGB), which are not read"
+            warn(f"{name} {problem}: export it as .ply or .glb")
+        text = _INDENT.sub("", text_of(data).replace("\t", " ").replace("\\\n", ""))
         self.characters = np.frombuffer(text.encode() + b"\n", dtype=np.uint8)
         self.ends = np.flatnonzero(self.characters == _NEWLINE)
         self.starts = np.concatenate([[0], self.ends[:-1] + 1])

@@ -4,13 +4,14 @@ refers to: found, checked, and read. Missing and unreadable images are reported.
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import os
 import re
 import struct
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -18,14 +19,14 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, clipped, reason, shown, warn
+from facerender.errors import InputError, clipped, quoted, reason, warn
 from facerender.images.files import TooLarge, open_image
 from facerender.loading.gltf_document import chunks
-from facerender.system.files import MOST, check_downloaded, data_dir, read_file, suffix_of
+from facerender.system.files import MAX_FILE_BYTES, check_downloaded, data_dir, read_file, suffix_of
 from facerender.texture.texture import DECODERS
+from facerender.values.fields import PATH
 
 GLTF = (".glb", ".gltf")
-NORMAL_MAP_Y = ("up", "down")
 _BEGINNINGS = (
     (b"PK\x03\x04", "a ZIP archive (as USDZ is)", "unpack or export it"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
@@ -53,12 +54,6 @@ FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl"
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 
-def check_normal_map_y(value: Any) -> None:
-    """Raise InputError unless a value is "up" or "down"."""
-    if not (isinstance(value, str) and value in NORMAL_MAP_Y):
-        raise InputError(f"normal_map_y = {shown(value)}: give {' or '.join(NORMAL_MAP_Y)}")
-
-
 @dataclass(frozen=True)
 class Source:
     """A mesh file or a mesh in memory, which is read once."""
@@ -78,15 +73,14 @@ def source_of(source: Any, kind: str | None = None) -> Source:
     suffix = None if kind is None else f".{str(kind).lower().removeprefix('.')}"
     if suffix not in (None, *FORMATS):
         kinds = ", ".join(key[1:] for key in FORMATS)
-        raise InputError(f"unknown mesh kind {shown(kind)}; known: {kinds}")
+        raise InputError(f"unknown mesh kind {quoted(kind)}; known: {kinds}")
     if isinstance(source, Source):
         return source
     folder, path = None, Path("bytes")
     if source is None:
         source = BUILT_IN
     if from_path := isinstance(source, str | os.PathLike):
-        check_path("mesh file", source)
-        path = Path(source)
+        path = Path(PATH.check("mesh file", source))
         try:
             folder, source = path.parent, read_file(path, "a mesh file")
         except InputError:
@@ -99,7 +93,7 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         source = _content(source, path.name)
     if not isinstance(source, bytes | bytearray | memoryview):
         raise InputError(
-            f"mesh file = {shown(source)}: give a path, bytes, an open file, or a trimesh mesh or "
+            f"mesh file = {quoted(source)}: give a path, bytes, an open file, or a trimesh mesh or "
             "scene"
         )
     content = bytes(source)
@@ -112,14 +106,14 @@ def source_of(source: Any, kind: str | None = None) -> Source:
 
 def _content(file: Any, name: str) -> bytes:
     try:
-        content = file.read(MOST + 1)
+        content = file.read(MAX_FILE_BYTES + 1)
     except (OSError, ValueError) as error:
         why = reason(error)
         raise InputError(f"cannot read {name}: {why}; give a file open for reading") from None
     if not isinstance(content, bytes):
         raise InputError(f"{name} is open as text: open it as bytes, with mode 'rb'")
-    if len(content) > MOST:
-        raise InputError(f"{name} has more than {MOST} bytes; give a mesh file")
+    if len(content) > MAX_FILE_BYTES:
+        raise InputError(f"{name} has more than {MAX_FILE_BYTES} bytes; give a mesh file")
     if not content:
         raise InputError(f"{name} has no more bytes to read: rewind it with seek(0), or fill it")
     return content
@@ -127,8 +121,7 @@ def _content(file: Any, name: str) -> bytes:
 
 def _suffix_of(data: bytes, path: Path) -> str | None:
     """Return the suffix of the format of a mesh file's bytes, or None if the format is unknown. The
-    first bytes identify glTF and PLY. For other formats the name decides, or else the content.
-    Raises InputError if the content has a format that is not supported."""
+    first bytes identify glTF and PLY. For other formats the name decides, or else the content."""
     start = data[: 1 << 16].removeprefix(b"\xef\xbb\xbf").lstrip()
     for beginning, suffix in _MESHES:
         if start.startswith(beginning):
@@ -191,7 +184,7 @@ class References:
     name: str
     folder: Path | None
     allow_outside: bool
-    files: dict[str, bytes | None] = field(default_factory=dict, init=False)
+    files: dict[str, bytes | None] = dataclasses.field(default_factory=dict, init=False)
 
     def read(self, name: str, what: str) -> bytes:
         """Return the content of a file. Raise FileNotFoundError if it is missing or its path is not
@@ -211,11 +204,11 @@ class References:
                 f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
                 "used, whose name differs in upper and lower case"
             )
-        remaining = MOST - sum(map(len, filter(None, self.files.values())))
+        remaining = MAX_FILE_BYTES - sum(map(len, filter(None, self.files.values())))
         content = self.files[name] = read_file(path, what, remaining)
         return content
 
-    def image(self, name: str, kind: str, fatal: bool, silent: bool = False) -> bytes | None:
+    def image(self, name: str, map_name: str, fatal: bool, silent: bool = False) -> bytes | None:
         """Return the content of an image file. Return None if the file is missing or, with a report
         by :func:`is_image`, cannot be read."""
         try:
@@ -223,7 +216,7 @@ class References:
         except FileNotFoundError:
             return None
         subject = f"{clipped(name, 80)} (named by {self.name})"
-        return content if is_image(content, subject, kind, fatal, silent) else None
+        return content if is_image(content, subject, map_name, fatal, silent) else None
 
     def why_not(self, name: str) -> str:
         """Return why a file was not found, as the end of a message."""
@@ -350,7 +343,9 @@ def color_bytes(colors: NDArray[Any]) -> NDArray[np.uint8]:
     return np.asarray(np.clip(finite * (255.0 / white), 0.0, 255.0).round(), dtype=np.uint8)
 
 
-def is_image(content: bytes, subject: str, kind: str, fatal: bool, silent: bool = False) -> bool:
+def is_image(
+    content: bytes, subject: str, map_name: str, fatal: bool, silent: bool = False
+) -> bool:
     """Return whether an image can be opened. If it cannot be read or is too large, raise InputError
     if ``fatal``, else warn unless ``silent``."""
     try:
@@ -364,7 +359,7 @@ def is_image(content: bytes, subject: str, kind: str, fatal: bool, silent: bool 
             warn(f"{message}: ignored")
         return False
     option = {"albedo": "--albedo", "normal": "--normal-map", "roughness": "--roughness-map"}
-    remedy = f", or pass {option[kind]} FILE" if kind in option else ""
+    remedy = f", or pass {option[map_name]} FILE" if map_name in option else ""
     raise InputError(f"{message}; {advice}{remedy}")
 
 

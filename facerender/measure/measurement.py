@@ -1,6 +1,4 @@
-"""The measurements of ``facerender measure``: their records, JSON
-(docs/measurements/measure-schema.md) and errors against exact float64 values. ``report.py`` writes
-the files."""
+"""The measurements of ``facerender measure`` as plain data; errors against exact float64 values."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from functools import cache, partial
 from pathlib import Path
@@ -18,16 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__, lobes
-from facerender.comparison import pictures
-from facerender.comparison.windows import (
-    BLOCK,
-    FLOOR,
-    FULL,
-    block_sums,
-    cell_sums,
-    filtered,
-    shrunk,
-)
+from facerender.comparison import pictures, windows
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.drawing.reference import shade
@@ -48,139 +37,51 @@ SCHEMA = "facerender.measure/2"
 MODELS = PRINTED
 MAGNIFIED = 8
 
-BySlope = Mapping[str, float | None]  # keyed by m as text, "%g" % m
+# The content of measure.json, which docs/measurements/measure-schema.md describes, and a row of its
+# table "variants". Errors of images are fractions and counts, errors of lobe and BRDF percent.
+Measurement = Mapping[str, Any]
+MeasuredVariant = Mapping[str, Any]
 
-
-@dataclass(frozen=True)
-class Settings:
-    """The settings of a measurement; ``m`` is the roughness of the skin."""
-
-    mesh: str
-    m: float
-    size: tuple[int, int]
-    repeats: int
-    quick: bool
-
-    @property
-    def slope(self) -> str:
-        """m as text, which is the key of m in the errors of lobe and BRDF."""
-        return f"{self.m:g}"
-
-
-@dataclass(frozen=True)
-class ImageError:
-    """Errors of an image against exact float64 shading of the same G-buffer: fractions and counts,
-    never percent. ``flip`` is None without flip-evaluator."""
-
-    point: float
-    block: float
-    largest: float
-    percentile: float
-    steps: int
-    steps_percentile: float
-    flip: float | None
-
-
-@dataclass(frozen=True)
-class MeasuredVariant:
-    """A variant with its costs, which are None if not measured, and its errors. The largest errors
-    of lobe and BRDF are in percent, keyed by m, and None if m is outside the domain."""
-
-    variant: Variant
-    lobe_ns: Interval | None  # of the lobe alone
-    term_ns: Interval  # of the whole term
-    frame_ms: Interval | None
-    lobe_error: BySlope
-    brdf_error: BySlope
-    image_error: ImageError | None  # at the m of the settings; None if no image was drawn
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the variant's row of measure.json."""
-        values, variant = asdict(self), self.variant
-        return {
-            **{name: getattr(variant, name) for name in ("model", "name", "lobe")},
-            "cost": {name: values[name] for name in ("lobe_ns", "term_ns", "frame_ms")},
-            "error": {name: values[f"{name}_error"] for name in ("lobe", "brdf", "image")},
-        }
-
-
-@dataclass(frozen=True, eq=False)
-class Triptych:
-    """Three images side by side, 8-bit sRGB (H, 3 W, 3): with the exact lobe in float64, with
-    ``lobe`` as OpenGL draws it, and the difference of the linear images times ``MAGNIFIED``."""
-
-    model: str
-    lobe: str
-    pixels: NDArray[np.uint8]
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """All results of a measurement except the images."""
-
-    environment: Mapping[str, Any]  # date, versions, OpenGL driver and processor
-    settings: Settings
-    variants: Sequence[MeasuredVariant]
-    not_measured: Sequence[str]  # missing results, with the reasons
-
-    @property
-    def models(self) -> list[str]:
-        """The names of the measured models."""
-        return [model for model in MODELS if self.of_model(model)]
-
-    def of_model(self, model: str) -> list[MeasuredVariant]:
-        """Return the variants of a model."""
-        return [measured for measured in self.variants if measured.variant.model == model]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the content of measure.json."""
-        return {
-            "schema": SCHEMA,
-            "environment": dict(self.environment),
-            "settings": asdict(self.settings) | {"size": list(self.settings.size)},
-            "variants": [measured.as_dict() for measured in self.variants],
-            "not_measured": list(self.not_measured),
-        }
-
+# Three images side by side, 8-bit sRGB (H, 3 W, 3), keyed by model and lobe: with the exact lobe in
+# float64, with the lobe as OpenGL draws it, and the linear difference times MAGNIFIED.
+Triptychs = Mapping[tuple[str, str], NDArray[np.uint8]]
 
 Array = NDArray[np.float64]
+
+
+def rows_of(measurement: Measurement, model: str) -> list[MeasuredVariant]:
+    """Return the variants of a model."""
+    return [row for row in measurement["variants"] if row["model"] == model]
+
+
+def slope_of(measurement: Measurement) -> str:
+    """Return m of the skin as text, which is the key of m in the errors of lobe and BRDF."""
+    return f"{measurement['settings']['m']:g}"
 
 
 def lobe_error(name: AnyLobe, m: float, k: int, degrees: Array | None = None) -> Array:
     """Return a lobe minus the exact lobe (peak 1), at angles γ between normal and half vector.
 
-    Parameters
-    ----------
     m : roughness, in the domain of the lobe
     k : power of the cosine in the lobe's formula: 4 for Cook-Torrance, 0 for Ward
     degrees : angles in degrees, (N,); None: 0 to 90 in steps of 0.01
-
-    Raises
-    ------
-    InputError : m is outside the domain of the lobe
     """
     angles = np.linspace(0.0, 90.0, 9001) if degrees is None else degrees
     c = np.cos(np.radians(angles)).clip(0.0, 1.0)
     return lobes.lobe(name, c, m, k) - lobes.exact(c, m, k)
 
 
-def brdf_error(shading: Shading, m: float, f0: float = 0.028, count: int = 24) -> float:
-    """Return the largest error of the BRDF times N.L, relative to the largest exact product.
-
-    Both maxima are over all directions. Light and camera each take `count` polar angles from 0 to
-    89 degrees; the light also takes 2 `count` azimuths from 0 to 180 degrees.
-
-    Raises
-    ------
-    InputError : m is outside the domain of the lobe
-    """
-    theta = np.radians(np.linspace(0.0, 89.0, count))
-    phi = np.linspace(0.0, np.pi, 2 * count)
+def brdf_error(shading: Shading, m: float) -> float:
+    """Return the largest error of the BRDF times N.L, relative to the largest exact product, for m
+    in the domain of the lobe. Both maxima are over all directions."""
+    # 24 polar angles of light and camera, and 48 azimuths of the light: the error is smooth.
+    theta = np.radians(np.linspace(0.0, 89.0, 24))
+    phi = np.linspace(0.0, np.pi, 48)
     l = _from_angles(theta[:, None, None], phi)
     v = _from_angles(theta[:, None], np.pi)
     n = np.array([0.0, 0.0, 1.0])
     exact = shading.replace(lobe="exact")
-    values, expected = (s.term.brdf(n, l, v, m, f0) * l[..., 2] for s in (shading, exact))
+    values, expected = (s.term.brdf(n, l, v, m, 0.028) * l[..., 2] for s in (shading, exact))
     return float(np.abs(values - expected).max() / expected.max())
 
 
@@ -196,17 +97,12 @@ def image_errors(
     size: tuple[int, int],
     backend: Backend = "auto",
     undrawn: Sequence[Shading] = (),
-) -> tuple[Array, list[NDArray[np.float32]], list[ImageError]]:
+) -> tuple[Array, list[NDArray[np.float32]], list[dict[str, Any]]]:
     """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
 
     Return the float64 reference, the OpenGL images and the errors. The reference uses
     `shadings[0]`, but with the exact lobe. The errors of `undrawn`, which OpenGL cannot draw, come
     last; their images are float64, too.
-
-    Raises
-    ------
-    ContextError : no OpenGL context
-    InputError : the scene cannot be drawn with one of the shadings
     """
     scene = replace(scene, background=None)
     exact = shadings[0].replace(lobe="exact")
@@ -217,29 +113,29 @@ def image_errors(
     covered = gbuffer.coverage > 0.0
     compared: list[NDArray[np.floating]] = [*images]
     compared += [shade(gbuffer, scene, shading) for shading in undrawn]
-    errors = [image_error(image, reference, covered) for image in compared]
-    return reference, images, errors
+    return reference, images, [image_error(image, reference, covered) for image in compared]
 
 
 def image_error(
     image: NDArray[np.floating], reference: Array, covered: NDArray[np.bool_]
-) -> ImageError:
-    """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W)."""
+) -> dict[str, Any]:
+    """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W). The
+    result is ``error.image`` of measure.json; "flip" is None without flip-evaluator."""
     relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)
     displayed, expected = encode_srgb8(image), encode_srgb8(reference.astype(np.float32))
     steps = np.abs(displayed.astype(int) - expected)[covered].max(axis=-1)
     flip_error = None
     with suppress(InputError):  # the package for FLIP may be missing
         flip_error = float(pictures.flip_errors(expected / 255.0, displayed / 255.0).mean())
-    return ImageError(
-        point=point_error(image, reference),
-        block=block_error(image, reference, covered.astype(np.float64)),
-        largest=float(relative.max()),
-        percentile=float(np.quantile(relative.max(axis=-1), 0.999)),
-        steps=int(steps.max()),
-        steps_percentile=float(np.quantile(steps, 0.999)),
-        flip=flip_error,
-    )
+    return {
+        "point": point_error(image, reference),
+        "block": block_error(image, reference, covered.astype(np.float64)),
+        "largest": float(relative.max()),
+        "percentile": float(np.quantile(relative.max(axis=-1), 0.999)),
+        "steps": int(steps.max()),
+        "steps_percentile": float(np.quantile(steps, 0.999)),
+        "flip": flip_error,
+    }
 
 
 def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
@@ -247,8 +143,8 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     in the other image."""
     worst = 0.0
     for x, y in ((a, b), (b, a)):
-        beyond = np.maximum(y - filtered(x, np.maximum), filtered(x, np.minimum) - y)
-        worst = max(worst, float(beyond.max()))
+        low, high = (windows.filtered(x, choose) for choose in (np.minimum, np.maximum))
+        worst = max(worst, float(np.maximum(y - high, low - y).max()))
     return worst
 
 
@@ -258,22 +154,21 @@ def block_error(
     """Return the largest error of the mean of a block of 16 x 16 pixels, relative to max(mean of
     the reference, 0.01).
 
-    Parameters
-    ----------
     a, reference : linear images, (H, W, 3)
     coverage : (H, W) in [0, 1]. Pixels count if all pixels within a distance of 3 are fully
         covered; blocks count if they contain at least 64 such pixels
     """
-    inside = shrunk(coverage >= FULL, 3)
-    count = block_sums(cell_sums(inside))
-    worst = 0.0
+    inside = windows.shrunk(coverage >= windows.FULL, 3)
+
+    def sums(values: NDArray[Any]) -> Array:
+        return windows.block_sums(windows.cell_sums(values * inside))
+
+    count, worst = sums(inside), 0.0
     for channel in range(3):
         x, y = reference[..., channel], a[..., channel]
-        divisor = np.maximum(
-            block_sums(cell_sums(np.abs(x) * inside)), FLOOR * np.maximum(count, 1.0)
-        )
-        change = np.abs(block_sums(cell_sums((y - x) * inside))) / divisor
-        worst = max(worst, float(change[count >= BLOCK**2 // 4].max(initial=0.0)))
+        divisor = np.maximum(sums(np.abs(x)), windows.FLOOR * np.maximum(count, 1.0))
+        change = np.abs(sums(y - x)) / divisor
+        worst = max(worst, float(change[count >= windows.BLOCK**2 // 4].max(initial=0.0)))
     return worst
 
 
@@ -287,49 +182,47 @@ def measure(
     quick: bool = False,
     backend: Backend = "auto",
     progress: Progress = no_progress,
-) -> tuple[Measurement, list[Triptych]]:
+) -> tuple[Measurement, Triptychs]:
     """Measure cost and error of all variants.
 
-    Parameters
-    ----------
     mesh : mesh for the cost of a frame and the error of an image
     m : roughness of the skin, in [1e-4, 2]; see :meth:`facerender.Mesh.with_skin`
     quick : whether to use smaller images and fewer repeats, and skip the cost of lobes alone
-
-    Raises
-    ------
-    ContextError : there is no OpenGL context
-    InputError : m is outside its range, or a map is damaged
     """
     size, repeats = ((256, 256), 7) if quick else ((512, 512), 21)
     plain = mesh.with_skin(m=m)
-    start_maps(resolved_parts(plain))
+    start_maps(resolved_parts(plain))  # decoded in threads, before frames need them
     scene = Scene(plain, Camera(azimuth=-35.0, elevation=4.0))
-    settings = Settings(mesh.name, m, size, repeats, quick)
+    settings = {"mesh": mesh.name, "m": m, "size": [*size], "repeats": repeats, "quick": quick}
     measured: list[MeasuredVariant] = []
-    triptychs: list[Triptych] = []
+    triptychs: dict[tuple[str, str], NDArray[np.uint8]] = {}
     for model in MODELS:
         rows, images = _model(model, scene, settings, backend, progress)
         measured += rows
-        triptychs += images
-    not_measured = []
-    if any(row.image_error and row.image_error.flip is None for row in measured):
-        not_measured.append("FLIP needs flip-evaluator: pip install 'facerender[measure]'")
-    return Measurement(environment(backend), settings, measured, not_measured), triptychs
+        triptychs |= images
+    errors = filter(None, (row["error"]["image"] for row in measured))
+    no_flip = any(error["flip"] is None for error in errors)
+    return {
+        "schema": SCHEMA,
+        "environment": environment(backend),
+        "settings": settings,
+        "variants": measured,
+        "not_measured": ["FLIP needs flip-evaluator: pip install 'facerender[measure]'"] * no_flip,
+    }, triptychs
 
 
 def _model(
-    model: str, scene: Scene, settings: Settings, backend: Backend, progress: Progress
-) -> tuple[list[MeasuredVariant], list[Triptych]]:
+    model: str, scene: Scene, settings: dict[str, Any], backend: Backend, progress: Progress
+) -> tuple[list[MeasuredVariant], Triptychs]:
     """Measure all variants of a model."""
 
     def step(name: str) -> Callable[[float], object]:
         return partial(progress, f"{model}: {name}")
 
-    m, size, repeats = settings.m, settings.size, settings.repeats
+    m, size, repeats = settings["m"], tuple(settings["size"]), settings["repeats"]
     term_ns = cost.by_slope(terms(model), cost.OF_VECTORS, repeats, backend, step("terms"))
     lobe_ns: dict[str, Interval] = {}
-    if not settings.quick:
+    if not settings["quick"]:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     inside = [variant for variant in of_model(model) if _inside(variant, m)]
     rendered = [variant for variant in inside if variant.standard]
@@ -344,55 +237,47 @@ def _model(
     frame_ms = dict(zip(rendered, frames, strict=True))
     reference, images, drawn_errors = image_errors(scene, shadings, size, backend, others)
     image_error = dict(zip([*rendered, *undrawn], drawn_errors, strict=True))
-    measured = [
-        MeasuredVariant(
-            variant,
-            lobe_ns.get(variant.name),
-            term_ns[variant.name],
-            frame_ms.get(variant),
-            *_errors(variant, sorted({*SLOPES, m})),
-            image_error.get(variant),
-        )
-        for variant in of_model(model)
-        if not variant.plain or m >= SMALL_SLOPE
-    ]
+    measured: list[MeasuredVariant] = []
+    for variant in of_model(model):
+        if variant.plain and m < SMALL_SLOPE:
+            continue
+        lobe, brdf = _errors(variant, sorted({*SLOPES, m}))
+        costs = {"lobe_ns": lobe_ns.get(variant.name), "term_ns": term_ns[variant.name]}
+        costs["frame_ms"] = frame_ms.get(variant)
+        row = {name: getattr(variant, name) for name in ("model", "name", "lobe")}
+        row["cost"] = {name: interval and asdict(interval) for name, interval in costs.items()}
+        row["error"] = {"lobe": lobe, "brdf": brdf, "image": image_error.get(variant)}
+        measured.append(row)
     exact = reference.astype(np.float32)
-    triptychs = [
-        Triptych(
-            model,
-            variant.lobe,
-            encode_srgb8(np.hstack([exact, image, MAGNIFIED * np.abs(image - exact)])),
+    return measured, {
+        (model, variant.lobe): encode_srgb8(
+            np.hstack([exact, image, MAGNIFIED * np.abs(image - exact)])
         )
         for variant, image in zip(rendered, images, strict=True)
         if variant.lobe != "exact"
-    ]
-    return measured, triptychs
+    }
 
 
 def environment(backend: Backend = "auto") -> dict[str, Any]:
     """Return the conditions of a measurement: OpenGL driver, processor, versions, date."""
     context = create_context(backend)
     context.release()
+    processor = platform.processor() or platform.machine()
+    with suppress(OSError):  # only Linux has this file, and only some architectures name the model
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        processor = next(names, platform.machine())
     return {
         "date": datetime.now(UTC).strftime("%Y-%m-%d"),
         "facerender": __version__,
         "GL_RENDERER": context.renderer,
         "GL_VERSION": context.version,
         "software": context.software,
-        "processor": _processor(),
+        "processor": processor,
         "cores": len(os.sched_getaffinity(0)),
         "python": platform.python_version(),
         "numpy": np.__version__,
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.machine())
 
 
 def _inside(variant: Variant, m: float) -> bool:
@@ -400,19 +285,18 @@ def _inside(variant: Variant, m: float) -> bool:
     return bool(LOBES[variant.lobe].belongs(m, variant.k).all())
 
 
-def _errors(variant: Variant, slopes: Sequence[float]) -> tuple[BySlope, BySlope]:
-    """Return the largest errors of lobe and BRDF in percent; None if m is outside the domain."""
-    errors = {
-        f"{m:g}": (None, None)
-        if (variant.plain and m < SMALL_SLOPE) or not _inside(variant, m)
-        else _errors_of(variant.shading, m)
-        for m in slopes
-    }
-    lobe, brdf = ({m: pair[i] for m, pair in errors.items()} for i in (0, 1))
+def _errors(variant: Variant, slopes: Sequence[float]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the largest errors of lobe and BRDF in percent, keyed by m as text; None if m is
+    outside the domain."""
+    lobe: dict[str, float | None] = {}
+    brdf: dict[str, float | None] = {}
+    for m in slopes:
+        inside = _inside(variant, m) and not (variant.plain and m < SMALL_SLOPE)
+        lobe[f"{m:g}"], brdf[f"{m:g}"] = _errors_of(variant.shading, m) if inside else (None, None)
     return lobe, brdf
 
 
-@cache
+@cache  # variants with and without small slopes have one shading
 def _errors_of(shading: Shading, m: float) -> tuple[float, float]:
     lobe = np.abs(lobe_error(shading.term.lobe, m, shading.term.entry.k)).max()
     return 100.0 * float(lobe), 100.0 * brdf_error(shading, m)

@@ -1,5 +1,4 @@
-"""Writes a measurement to files: ``measure.json``, images as PNG, and the page ``index.html`` with
-sentences, tables and the chart of ``chart.py``."""
+"""Writes a measurement to files: ``measure.json``, images as PNG, and the page ``index.html``."""
 
 from __future__ import annotations
 
@@ -14,25 +13,14 @@ from typing import Any
 
 from facerender.glsl.library import lobe_macros
 from facerender.measure import chart
-from facerender.measure.chart import (
-    EXACT,
-    FRAME,
-    KINDS,
-    LIMITS,
-    TERM,
-    CostKind,
-    Row,
-    measure_of,
-    pareto,
-    recommended,
-)
+from facerender.measure.chart import EXACT, FRAME, LIMITS, TERM, CostKind, Row, pareto, recommended
 from facerender.measure.measurement import (
     MAGNIFIED,
     MODELS,
-    ImageError,
-    MeasuredVariant,
     Measurement,
-    Triptych,
+    Triptychs,
+    rows_of,
+    slope_of,
 )
 from facerender.page import document, figure
 from facerender.page import row as table_row
@@ -73,7 +61,7 @@ class Table:
 def advice(measurement: Measurement, model: str) -> str:
     """Return a sentence with the recommended variants of a model."""
     best = recommended(measurement, model)
-    start = f"{MODELS[model]} at m = {measurement.settings.slope}: "
+    start = f"{MODELS[model]} at m = {slope_of(measurement)}: "
     if not best:
         return f"{start}no variant has an error of at most {LIMITS[-1]:g} %."
     parts = []
@@ -81,7 +69,7 @@ def advice(measurement: Measurement, model: str) -> str:
         allowed = f" if an error of {limit:g} % is acceptable" if limit > EXACT else ""
         error = row.error or 0.0
         size = f"below {EXACT:g} %" if error <= EXACT else f"{_number(error)} %"
-        cost = _number(row.cost.value if row.cost else None)
+        cost = _number(row.cost.value)
         parts.append(f'"{row.variant.name}"{allowed} ({cost} ns per evaluation, error {size})')
     ending = f"; no variant with an error of at most {LIMITS[-1]:g} % is measurably cheaper"
     return f"{start}use {', or '.join(parts)}{ending * (len(parts) == 1)}."
@@ -93,32 +81,30 @@ def frame_advice(measurement: Measurement, model: str) -> str:
     A lobe is faster if both the frame and the specular term are measurably cheaper: noise alone can
     make a frame cheaper.
     """
-    rows = [row for row in pareto(measurement, model, FRAME) if row.cost]
+    rows = pareto(measurement, model, FRAME)
     best = next((row for row in rows if row.variant.lobe == "exact"), None)
-    if best is None or best.cost is None:
+    if best is None:
         return ""
-    exact, term = best.cost, best.measured.term_ns
+    exact, term = best.cost, best.measured["cost"]["term_ns"]
     allowed = f"with an error of at most {LIMITS[-1]:g} %"
     faster = [
         f"{row.variant.name} ({_number(row.cost.value)} ms)"
         for row in rows
-        if row.cost
-        and row.cost.high < exact.low
-        and row.measured.term_ns.high < term.low
+        if row.cost.high < exact.low
+        and row.measured["cost"]["term_ns"]["high"] < term["low"]
         and (row.error or 0.0) <= LIMITS[-1]
     ]
-    sentence = f"No lobe {allowed} is measurably faster."
-    if faster:
-        sentence = f"Faster lobes {allowed}: {', '.join(faster)}."
+    names = f"Faster lobes {allowed}: {', '.join(faster)}."
+    sentence = names if faster else f"No lobe {allowed} is measurably faster."
     time = f"{_number(exact.value)} ms (95 % interval {_cell(exact)})"
-    size = "{} x {} pixels".format(*measurement.settings.size)
+    size = "{} x {} pixels".format(*measurement["settings"]["size"])
     return f"{MODELS[model]}: the exact lobe draws a frame of {size} in {time}. {sentence}"
 
 
 def recommendation_table(measurement: Measurement, model: str) -> Table:
     """Return the table of a model's recommended variants, and how to select them."""
-    error = ERRORS[measure_of(measurement, model)]
-    frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME) if row.cost}
+    error = ERRORS[chart.measure_of(measurement, model)]
+    frames = {row.variant.lobe: row.cost for row in pareto(measurement, model, FRAME)}
     rows = []
     for limits, row in recommended(measurement, model):
         variant, cost = row.variant, row.cost
@@ -128,52 +114,47 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
                 "limit of the error, %": ", ".join(f"{limit:g}" for limit in limits),
                 "variant": variant.name,
                 "error, %": _number(row.error),
-                "ns per evaluation": _number(cost.value if cost else None),
+                "ns per evaluation": _number(cost.value),
                 "95 % interval, ns": _cell(cost),
                 "95 % interval of a frame, ms": _cell(frames.get(variant.lobe)),
                 "render option": f"--lobe {variant.lobe}",
                 "shader macros": ", ".join(f"{name} {value}" for name, value in macros.items()),
             }
         )
-    title = f"{MODELS[model]}, m = {measurement.settings.slope}: recommended variants"
+    title = f"{MODELS[model]}, m = {slope_of(measurement)}: recommended variants"
     note = f"The cheapest term with an error up to the limit. Error: {error}."
     return _table(title, note, rows)
 
 
-def cost_tables(measurement: Measurement, kinds: Iterable[CostKind] = KINDS) -> list[Table]:
+def cost_tables(measurement: Measurement, costs: Iterable[CostKind] = (TERM, FRAME)) -> list[Table]:
     """Return a table for each kind of cost and model, with the cheapest variant first and without
     variants of unknown cost; a kind that was not measured has one table without rows."""
     tables = []
-    for kind in kinds:
-        of_models = [_cost_table(measurement, model, kind) for model in MODELS]
-        measured = [table for table in of_models if table.rows]
-        tables += measured or [Table(kind.title[0].upper() + kind.title[1:])]
+    for cost in costs:
+        measured = []
+        for model in MODELS:
+            rows = pareto(measurement, model, cost)
+            exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
+            title = f"{MODELS[model]}, m = {slope_of(measurement)}: {cost.title}"
+            note = f"Error: {ERRORS[chart.measure_of(measurement, model)]}."
+            cells = [_cost_cells(row, cost, exact) for row in rows]
+            dominated = [row.variant.name for row in rows if row.dominated]
+            measured += [_table(title, note, cells, dominated)] * bool(rows)
+        tables += measured or [Table(cost.title[0].upper() + cost.title[1:])]
     return tables
 
 
-def _cost_table(measurement: Measurement, model: str, kind: CostKind) -> Table:
-    rows = [row for row in pareto(measurement, model, kind) if row.cost]
-    exact = next((row.cost for row in rows if row.variant == Variant(model, "exact")), None)
-    return _table(
-        f"{MODELS[model]}, m = {measurement.settings.slope}: {kind.title}",
-        f"Error: {ERRORS[measure_of(measurement, model)]}.",
-        [_cost_cells(row, kind, exact) for row in rows],
-        [row.variant.name for row in rows if row.dominated],
-    )
-
-
-def _cost_cells(row: Row, kind: CostKind, exact: Interval | None) -> dict[str, str]:
-    cost = row.cost.value if row.cost else None
+def _cost_cells(row: Row, cost: CostKind, exact: Interval | None) -> dict[str, str]:
+    value = row.cost.value
     remarks = ["as published"] * row.variant.printed + ["dominated"] * row.dominated
+    missing = NOT_MEASURED if row.variant.printed else "outside the domain"
     return {
         "variant": row.variant.name,
         "remark": ", ".join(remarks),
-        kind.unit: _number(cost),
-        "cost / exact": f"{cost / exact.value:.2f}" if cost is not None and exact else "",
-        "error, %": _number(
-            row.error, NOT_MEASURED if row.variant.printed else "outside the domain"
-        ),
-        **{title: _cell(column(row.measured)) for title, column in kind.columns.items()},
+        cost.unit: _number(value),
+        "cost / exact": f"{value / exact.value:.2f}" if exact else "",
+        "error, %": _number(row.error, missing),
+        **{title: _cell(column(row.measured)) for title, column in cost.columns.items()},
     }
 
 
@@ -182,23 +163,27 @@ def error_tables(measurement: Measurement) -> list[Table]:
     m; lobe errors and BRDF errors by m."""
     tables = []
     for model, title in MODELS.items():
-        rows = [row for row in measurement.of_model(model) if row.variant.standard]
+        rows = [row for row in rows_of(measurement, model) if row["name"] == row["lobe"]]
         if not rows:
             continue
         note = "Errors of linear radiance in % of max(exact radiance, 0.01); displayed errors in"
         note += " 8-bit levels (1/255)."
-        images = [_image_cells(row, row.image_error) for row in rows if row.image_error]
-        name = f"{title}, m = {measurement.settings.slope}: error of the image"
+        images = [
+            {"lobe": row["lobe"], **_image_cells(error)}
+            for row in rows
+            if (error := row["error"]["image"])
+        ]
+        name = f"{title}, m = {slope_of(measurement)}: error of the image"
         tables.append(_table(name, note, images))
-        slopes = [*rows[0].lobe_error]
+        slopes = [*rows[0]["error"]["lobe"]]
         for name, note in (
             ("lobe", "Largest error over 0 to 90 degrees, % of the lobe's peak."),
             ("BRDF", "Largest error of the BRDF times N.L, % of its largest exact value."),
         ):
             cells = []
             for row in rows:
-                errors = getattr(row, f"{name.lower()}_error")
-                cells.append([row.variant.lobe, *(_number(errors[m], "outside") for m in slopes)])
+                errors = row["error"][name.lower()]
+                cells.append([row["lobe"], *(_number(errors[m], "outside") for m in slopes)])
             head = ["lobe", *(f"m = {m}" for m in slopes)]
             tables.append(Table(f"{title}: error of the {name}", note, head, cells))
     return tables
@@ -214,17 +199,17 @@ def _table(
     return Table(title, note, lines[0], lines[1:], dominated)
 
 
-def _image_cells(row: MeasuredVariant, error: ImageError) -> dict[str, str]:
+def _image_cells(error: Mapping[str, Any]) -> dict[str, str]:
     values = {
-        "largest, %": 100.0 * error.largest,
-        "99.9th percentile, %": 100.0 * error.percentile,
-        "16 x 16 blocks, %": 100.0 * error.block,
-        "beyond 3 x 3 neighbours, radiance": error.point,
-        "displayed, 8-bit levels": error.steps,
-        "99.9th percentile, levels": error.steps_percentile,
-        "mean FLIP": error.flip,
+        "largest, %": 100.0 * error["largest"],
+        "99.9th percentile, %": 100.0 * error["percentile"],
+        "16 x 16 blocks, %": 100.0 * error["block"],
+        "beyond 3 x 3 neighbours, radiance": error["point"],
+        "displayed, 8-bit levels": error["steps"],
+        "99.9th percentile, levels": error["steps_percentile"],
+        "mean FLIP": error["flip"],
     }
-    return {"lobe": row.variant.lobe, **{title: _number(value) for title, value in values.items()}}
+    return {title: _number(value) for title, value in values.items()}
 
 
 def _cell(value: float | Interval | None) -> str:
@@ -285,27 +270,21 @@ DOMINATED = (
 JSON, PAGE = "measure.json", "index.html"
 
 
-def write(measurement: Measurement, triptychs: Sequence[Triptych], directory: Path) -> list[Path]:
+def write(measurement: Measurement, triptychs: Triptychs, directory: Path) -> list[Path]:
     """Write measure.json, images and index.html atomically, and return their paths.
 
     All images are encoded before the first file is written. A missing directory is created.
-
-    Raises
-    ------
-    InputError : the directory is not writable
-    ValueError : the measurement contains NaN or infinity, which JSON cannot represent
     """
     from PIL import Image
 
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
     images, captions = {}, []
-    for triptych in triptychs:
-        model, lobe = triptych.model, triptych.lobe
+    for (model, lobe), pixels in triptychs.items():
         file = io.BytesIO()
-        Image.fromarray(triptych.pixels).save(file, "PNG", optimize=True)
+        Image.fromarray(pixels).save(file, "PNG", optimize=True)
         images[f"images-{model}-{lobe}.png"] = file.getvalue()
         captions.append(
-            f"{MODELS[model]}, m = {measurement.settings.slope}: exact (left), {lobe} (middle), and"
+            f"{MODELS[model]}, m = {slope_of(measurement)}: exact (left), {lobe} (middle), and"
             f" {MAGNIFIED} times their difference (right)."
         )
     page = _page(measurement, map(figure, images.values(), captions))
@@ -316,30 +295,34 @@ def content(measurement: Measurement) -> dict[str, Any]:
     """Return the content of measure.json: the measurement and the recommended variants."""
     best = [
         {
-            **{name: getattr(row.variant, name) for name in ("model", "name", "lobe")},
+            **{name: row.measured[name] for name in ("model", "name", "lobe")},
             "limits": list(limits),
             "error": row.error,
         }
-        for model in measurement.models
+        for model in MODELS
         for limits, row in recommended(measurement, model)
     ]
-    return {"recommended": best, **measurement.as_dict()}
+    return {"recommended": best, **measurement}
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
     """Write files, keyed by file name, atomically to a directory, which is created if missing,
-    and return their paths. Raise InputError if the directory cannot be created or written to."""
+    and return their paths."""
     make_folder(directory)
     for name, content in files.items():
         write_bytes(directory / name, content)
     return [directory / name for name in files]
 
 
+def _models(measurement: Measurement) -> list[str]:
+    return [model for model in MODELS if rows_of(measurement, model)]
+
+
 def table(measurement: Measurement) -> str:
     """Return sentences, tables of the recommended variants and tables of cost as text for a
     terminal."""
-    models = measurement.models
-    sentences = [say(measurement, model) for say in (advice, frame_advice) for model in models]
+    models = _models(measurement)
+    sentences = [text(measurement, model) for text in (advice, frame_advice) for model in models]
     tables = [*(recommendation_table(measurement, model) for model in models)]
     tables += cost_tables(measurement)
     return "\n\n".join(["\n".join(filter(None, sentences)), *(table.text() for table in tables)])
@@ -347,10 +330,10 @@ def table(measurement: Measurement) -> str:
 
 def _page(measurement: Measurement, figures: Iterable[str]) -> str:
     """Return the page: one self-contained HTML file."""
-    models, slope = measurement.models, measurement.settings.slope
+    models, slope = _models(measurement), slope_of(measurement)
     frames = " ".join(frame_advice(measurement, model) for model in models)
-    missing = "".join(f"<li>{escape(text)}</li>" for text in measurement.not_measured)
-    machine = f"{measurement.settings.mesh} on {measurement.environment['GL_RENDERER']}"
+    missing = "".join(f"<li>{escape(text)}</li>" for text in measurement["not_measured"])
+    machine = f"{measurement['settings']['mesh']} on {measurement['environment']['GL_RENDERER']}"
     body = [
         f'<p class="note">{escape(machine)}</p>',
         _trades(measurement, TERM),
@@ -377,21 +360,21 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
         ),
         f"<h2>Not measured</h2><ul>{missing}</ul>" * bool(missing),
         "<h2>Machine and settings</h2>",
-        page_table("facts", (), _facts(measurement)),
+        page_table("facts", (), _conditions(measurement)),
     ]
     return document(f"Cost and error at m = {slope}", "\n".join(body), chart.STYLE)
 
 
-def _trades(measurement: Measurement, kind: CostKind) -> str:
+def _trades(measurement: Measurement, cost: CostKind) -> str:
     """Return the charts of cost and error side by side, for each model with its recommendation."""
-    cost = f"cost of the {kind.title}, {kind.unit}"
+    axis = f"cost of the {cost.title}, {cost.unit}"
     figures = []
-    for model in measurement.models:
-        error = ERRORS[measure_of(measurement, model)]
-        svg = chart.trade(pareto(measurement, model, kind), cost, error)
-        say = advice if kind is TERM else frame_advice
+    for model in _models(measurement):
+        error = ERRORS[chart.measure_of(measurement, model)]
+        svg = chart.trade(pareto(measurement, model, cost), axis, error)
+        recommend = advice if cost is TERM else frame_advice
         if svg:
-            sentence = escape(say(measurement, model), quote=False)
+            sentence = escape(recommend(measurement, model), quote=False)
             text = re.sub('"(.*?)"', r"<b>\1</b>", sentence)  # the names of variants
             figures.append(f'<figure><figcaption class="lead">{text}</figcaption>{svg}</figure>')
     return f'<div class="pair trades">{"".join(figures)}</div>'
@@ -401,15 +384,15 @@ def _folded(summary: str, *content: str) -> str:
     return "\n".join([f"<details><summary>{escape(summary)}</summary>", *content, "</details>"])
 
 
-def _facts(measurement: Measurement) -> list[str]:
+def _conditions(measurement: Measurement) -> list[str]:
     """Return rows of a table with the machine and the settings."""
-    environment, settings = measurement.environment, measurement.settings
-    facts = {
-        "mesh": settings.mesh,
-        "m of the skin (RMS slope of the microfacets)": settings.slope,
-        "size of the images, pixels": "{} x {}".format(*settings.size),
-        "repeats of each timing": settings.repeats,
-        "reduced measurement (--quick)": "yes" if settings.quick else "no",
+    environment, settings = measurement["environment"], measurement["settings"]
+    conditions = {
+        "mesh": settings["mesh"],
+        "m of the skin (RMS slope of the microfacets)": slope_of(measurement),
+        "size of the images, pixels": "{} x {}".format(*settings["size"]),
+        "repeats of each timing": settings["repeats"],
+        "reduced measurement (--quick)": "yes" if settings["quick"] else "no",
         "OpenGL driver (GL_RENDERER)": environment["GL_RENDERER"],
         "version of OpenGL (GL_VERSION)": environment["GL_VERSION"],
         "drawn by": "CPU" if environment["software"] else "GPU",
@@ -420,10 +403,10 @@ def _facts(measurement: Measurement) -> list[str]:
         "version of NumPy": environment["numpy"],
         "date of the measurement": environment["date"],
     }
-    return [table_row(name, [escape(str(value))]) for name, value in facts.items()]
+    return [table_row(name, [escape(str(value))]) for name, value in conditions.items()]
 
 
-def _html(table: Table, kind: str) -> str:
+def _html(table: Table, css_class: str) -> str:
     """Return a table as HTML, with dominated rows in grey."""
     if not table.rows:
         return f"<p>{escape(table.title)}: {NOT_MEASURED}.</p>"
@@ -432,4 +415,4 @@ def _html(table: Table, kind: str) -> str:
         for name, *cells in table.rows
     ]
     caption = f"<span>{escape(table.title)}</span><small>{escape(table.note)}</small>"
-    return page_table(kind, map(escape, table.head), rows, caption)
+    return page_table(css_class, map(escape, table.head), rows, caption)

@@ -18,17 +18,16 @@ there is no BLAS, no LAPACK and no vectorised exponential, and sorting is stable
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.mesh.part import Face, Float
 from facerender.mesh.repair import face_normals
 from facerender.system.files import data_dir
 
-Float = NDArray[np.float64]
 _Bands = list[tuple[Float, Float]]
 
 RELIEFS = data_dir("assets") / "relief.npy"  # made by ``python -m tools.head.relief``
@@ -52,31 +51,6 @@ _COS, _SIN = (np.round(f(np.arange(_ANGLES) * 2.0 * np.pi / _ANGLES), 9) for f i
 _RAY = np.arange(0.4, -1.2, -0.2)  # heights at which a ray looks for the surface, from the front
 _WIDTHS = (0.06, 0.2), (0.1, 0.3)  # of two Gaussians, whose difference is a band
 _DAMPING = np.diag([2.0, 2.0, 2.0, 2.0, 2.0, 0.01, 8.0, 20.0, 20.0, 20.0])
-
-
-@dataclass(frozen=True, eq=False)
-class Face:
-    """A face, as :func:`facerender.find_face` returns it.
-
-    eyes : (2, 3) centres of the eyes on the surface, first the one on the viewer's left
-    up, front : (3,) unit vectors, to the top of the head and in the direction in which it looks
-    eye_distance : distance of the eyes, about 63 mm for adults
-    score : agreement with a face; at least 0.85, about 0.95 for a scan, 1.05 for the built-in head
-    """
-
-    eyes: Float
-    up: Float
-    front: Float
-    eye_distance: float
-    score: float
-
-    def __repr__(self) -> str:
-        return f"<Face with score {self.score:.2f}, eyes {self.eye_distance:.4g} apart>"
-
-    @property
-    def axes(self) -> Float:
-        """Rotation (3, 3), for column vectors, to a face that looks along +z with y up."""
-        return np.stack([np.cross(self.up, self.front), self.up, self.front])
 
 
 class Surface:
@@ -239,25 +213,25 @@ def _raster(points: Float, pose: _Poses, count: int) -> Float:
     """Return the mean height of the front layer of points (3, P) in each cell, (count, count), with
     row 0 at the bottom; NaN without points."""
     (tip,), (axes,), (size,) = pose
-    away = (points - tip[:, None]) / size
-    x, y, z = (away[0] * axis[0] + away[1] * axis[1] + away[2] * axis[2] for axis in axes)
+    offset = (points - tip[:, None]) / size
+    x, y, z = (offset[0] * axis[0] + offset[1] * axis[1] + offset[2] * axis[2] for axis in axes)
     inside = (np.abs(x) < _HALF) & (np.abs(y) < _HALF) & (z < 0.7) & (z > _FLOOR - 0.3)
-    places = (np.stack([x[inside], y[inside]]) + _HALF) * (count / 2.0 / _HALF)
-    column, row = places.astype(np.int64).clip(0, count - 1)
+    pixels = (np.stack([x[inside], y[inside]]) + _HALF) * (count / 2.0 / _HALF)
+    column, row = pixels.astype(np.int64).clip(0, count - 1)
     cells, z = row * count + column, z[inside]
     top = np.full(count * count, -np.inf)
     np.maximum.at(top, cells, z)
     front = z > top[cells] - 0.12
-    number = np.bincount(cells[front], minlength=count * count)
+    counts = np.bincount(cells[front], minlength=count * count)
     total = np.bincount(cells[front], z[front], count * count)
-    heights = np.where(number > 0, total / np.maximum(number, 1), np.nan)
+    heights = np.where(counts > 0, total / np.maximum(counts, 1), np.nan)
     return np.maximum(heights, _FLOOR).reshape(count, count)
 
 
-def _near(points: Float, pose: _Poses, reach: float) -> NDArray[np.intp]:
+def _near(points: Float, pose: _Poses, max_distance: float) -> NDArray[np.intp]:
     """Return the indices of points (3, P) within a distance of the nose, in eye distances."""
     x, y, z = points - pose.tip[0][:, None]
-    return np.flatnonzero(x * x + y * y + z * z < (reach * pose.size[0]) ** 2)
+    return np.flatnonzero(x * x + y * y + z * z < (max_distance * pose.size[0]) ** 2)
 
 
 def _dot(a: Float, b: Float) -> Float:
@@ -288,28 +262,28 @@ class _Grid:
         self.cell, margin = size * _CELL, 7  # empty cells around the points, for the blur
         self.low = points.min(axis=1) - margin * self.cell
         self.last = ((points.max(axis=1) - self.low) / self.cell).astype(np.int64) + margin
-        counts = self.last + 1
-        self.steps = np.array([counts[1] * counts[2], counts[2], 1])
+        shape = self.last + 1
+        self.steps = np.array([shape[1] * shape[2], shape[2], 1])
         keys = self._keys((points - self.low[:, None]) / self.cell)
-        number = np.bincount(keys, minlength=int(counts.prod())).astype(np.int32)
-        cells = np.flatnonzero(number > _OCCUPIED * len(keys) / np.count_nonzero(number))
-        self.index = np.full(number.size, -1, np.int32)
+        counts = np.bincount(keys, minlength=int(shape.prod())).astype(np.int32)
+        cells = np.flatnonzero(counts > _OCCUPIED * len(keys) / np.count_nonzero(counts))
+        self.index = np.full(counts.size, -1, np.int32)
         self.index[cells] = np.arange(len(cells))
         keep = self.index[keys] >= 0
-        index, sizes = self.index[keys[keep]], number[cells]
+        index, sizes = self.index[keys[keep]], counts[cells]
         self.mean, self.normal = (
             np.stack([np.bincount(index, row[keep], len(cells)) / sizes for row in rows], axis=1)
             for rows in (points, normals)
         )
         for step in self.steps:
             for _ in range(4):  # four boxes of three cells resemble a Gaussian of 1.6 cells
-                blurred = number.copy()
-                blurred[step:] += number[:-step]
-                blurred[:-step] += number[step:]
-                number = blurred
-        slope = np.stack([number[cells - step] - number[cells + step] for step in self.steps], 1)
-        shift = slope / number[cells][:, None]
-        field, length = np.zeros(number.size), np.sqrt(_dot(shift, shift))
+                blurred = counts.copy()
+                blurred[step:] += counts[:-step]
+                blurred[:-step] += counts[step:]
+                counts = blurred
+        slope = np.stack([counts[cells - step] - counts[cells + step] for step in self.steps], 1)
+        shift = slope / counts[cells][:, None]
+        field, length = np.zeros(counts.size), np.sqrt(_dot(shift, shift))
         field[cells] = length
         peaks = np.flatnonzero(length > _SHIFT)
         for offset in np.ndindex(3, 3, 3):
@@ -331,7 +305,7 @@ class _Grid:
     def heights(self, poses: _Poses) -> Float:
         """Return polar height maps (N, rings * angles), in distances between the eyes."""
         right, up, front = (poses.axes[:, i, :, None] for i in range(3))
-        size, (x, y) = poses.size[:, None], _polar()[0].places
+        size, (x, y) = poses.size[:, None], _polar()[0].positions
         start = poses.tip[:, :, None] + size[:, None] * (x * right + y * up)
         cells = [
             ((start[:, i] - self.low[i]) / self.cell).astype(np.float32)
@@ -340,21 +314,21 @@ class _Grid:
         ]
         hits = self.index[self._keys(cells)]  # the sides of the grid are empty
         hit = np.take_along_axis(hits, (hits >= 0).argmax(axis=0)[None], 0)[0]
-        away, normal = self.mean[hit] - np.moveaxis(start, 1, 2), self.normal[hit]
-        facing, high = (_dot(vectors, poses.axes[:, None, 2]) for vectors in (normal, away))
+        offset, normal = self.mean[hit] - np.moveaxis(start, 1, 2), self.normal[hit]
+        facing, high = (_dot(vectors, poses.axes[:, None, 2]) for vectors in (normal, offset))
         # The ray meets the plane through the cell's mean point.
-        aside = (_dot(away, normal) - high * facing) * facing / np.maximum(facing * facing, 0.09)
+        aside = (_dot(offset, normal) - high * facing) * facing / np.maximum(facing * facing, 0.09)
         high = high / size + (aside / size).clip(-_CELL, _CELL)
         return np.where(hit >= 0, np.maximum(high, _FLOOR), _FLOOR)
 
 
 class _Map:
-    """Heights of a relief with their slopes along x and y, (3, K), and weights, at places x and y,
+    """Heights of a relief with their slopes along x and y, (3, K), and weights, at points x and y,
     for correlation and for Gauss-Newton steps."""
 
-    def __init__(self, places: Float, columns: Float, weights: Float) -> None:
-        self.places, self.heights, self.weights = places, columns[0], weights
-        (x, y), (heights, across, along), one = places, columns, np.ones(len(weights))
+    def __init__(self, positions: Float, columns: Float, weights: Float) -> None:
+        self.positions, self.heights, self.weights = positions, columns[0], weights
+        (x, y), (heights, across, along), one = positions, columns, np.ones(len(weights))
         # The best quadratic surface is removed from heights: it is the same for heads and heels.
         basis: list[Float] = []
         for column in (one, x, y, x * x, x * y, y * y):
@@ -462,13 +436,13 @@ def _reliefs(coarse: bool) -> list[_Relief]:
 
 @cache
 def _polar() -> tuple[_Map, Float]:
-    """Return the first relief at the places of polar maps, ring by ring, and what correlation uses
-    of it (K, angles) for each roll."""
+    """Return the first relief at the points of polar maps, ring by ring, and its flat part, which
+    correlation uses, for each roll (K, angles)."""
     relief = _reliefs(coarse=True)[0]
-    places = np.stack([np.outer(_RINGS, column).ravel() for column in (_COS, _SIN)])
-    cells = ((places + _HALF) * (relief.count / 2.0 / _HALF)).astype(np.int64)
+    positions = np.stack([np.outer(_RINGS, column).ravel() for column in (_COS, _SIN)])
+    cells = ((positions + _HALF) * (relief.count / 2.0 / _HALF)).astype(np.int64)
     column, row = cells.clip(0, relief.count - 1)
     weights = np.repeat(2.0 * np.sqrt(_RINGS / _RINGS[-1]), _ANGLES)
-    polar = _Map(places, relief.columns[:, row, column], weights)
+    polar = _Map(positions, relief.columns[:, row, column], weights)
     rings = polar.flat.reshape(-1, _ANGLES)
     return polar, np.stack([np.roll(rings, k, 1).ravel() for k in range(_ANGLES)], axis=1)

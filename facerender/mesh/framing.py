@@ -8,14 +8,14 @@ its neck in both cases. Of a mesh without height, all regions are the whole mesh
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.mesh.face import Face, Surface, find_faces
-from facerender.mesh.part import Float, Part, Region, Space
+from facerender.mesh.face import Surface, find_faces
+from facerender.mesh.part import Face, Float, Framing, Part, Region, Space
 
 # Regions of a face in distances between the eyes, from the middle of the eyes: lower end, upper end
 # and half the width. Source: Farkas (1994), "Anthropometry of the head and face".
@@ -41,22 +41,6 @@ _NO_HEAD_WORDS = {
     *("wear", "end", "nub", "top", *_HAIR_WORDS),
 }
 _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
-
-
-@dataclass(frozen=True, eq=False)
-class Framing:
-    """The face of a geometry, and what cameras frame.
-
-    face : in mesh space; None if no face is found
-    regions : "head", "face", "eyes" and "auto", in the renderer's space. "auto" is the head if the
-        mesh is clearly larger than a head, and otherwise None: the whole mesh
-    source : of the regions if no face is found, for a warning: "the names of its parts" or
-        "its outline"; "" if there is a face, or nothing that may be a head
-    """
-
-    face: Face | None
-    regions: Mapping[str, Region | None]
-    source: str
 
 
 def framing_of(

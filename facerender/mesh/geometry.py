@@ -13,18 +13,15 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_type, clipped, parameters, shown, warn
-from facerender.mesh.framing import Framing, framing_of
-from facerender.mesh.part import Float, Part, Space, used
+from facerender.errors import InputError, check_range, clipped, quoted, warn
+from facerender.mesh.part import Float, Framing, Part, Space, TriangleSetup, face_normals, used
 from facerender.mesh.repair import joined, stacked
-from facerender.mesh.setup import TriangleSetup, face_normals
-from facerender.values.ranges import Range, check_fields, ranged
-from facerender.values.vectors import MOST_RADII, ROTATIONS, SHAPE_WEIGHTS, unit
+from facerender.values.fields import parameters
+from facerender.values.vectors import MAX_RADII, MILLIMETRES, ROTATIONS, SHAPE_WEIGHTS, unit
 
 if TYPE_CHECKING:
-    from facerender.mesh.rig import Clip, Moves, Rig
+    from facerender.mesh.rig import Clip
 
 _Rows = list[Float | None]
 
@@ -39,9 +36,8 @@ class Latest(dict[Any, Any]):
         return self[name][1]
 
 
-@dataclass(frozen=True, eq=False)
 class Corners:
-    """The corners of a mesh's faces, sorted by vertex.
+    """The corners of a mesh's faces in the reference pose, sorted by vertex.
 
     faces : (3, F) vertex indices; the vertices of all parts are numbered consecutively
     order : (3 F,) index of each corner's face
@@ -49,14 +45,7 @@ class Corners:
     groups : (N,) group of each vertex
     """
 
-    faces: NDArray[np.int64]
-    order: NDArray[np.int64]
-    starts: NDArray[np.int64]
-    groups: NDArray[np.int64]
-
-    @classmethod
-    def of(cls, parts: Sequence[Part]) -> Corners:
-        """Return the corners of a mesh in the reference pose."""
+    def __init__(self, parts: Sequence[Part]) -> None:
         _, joint, welded, _ = stacked(parts)
         normals = np.concatenate([part.normals for part in parts])
         # Vertices at one position share a group if their normals are nearly equal.
@@ -70,9 +59,9 @@ class Corners:
             remaining, count = remaining[~like], count + len(first)
         corners = groups[joint].ravel()
         order = np.argsort(corners, kind="stable")
-        used_groups, starts = np.unique(corners[order], return_index=True)
-        dense = np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1)
-        return cls(np.ascontiguousarray(joint.T), order // 3, starts, dense)
+        used_groups, self.starts = np.unique(corners[order], return_index=True)
+        self.faces, self.order = np.ascontiguousarray(joint.T), order // 3
+        self.groups = np.searchsorted(used_groups, groups).clip(max=len(used_groups) - 1)
 
     def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
         """Return, for each vertex of each part with positions (N, 3), the sum of the normals of its
@@ -106,7 +95,7 @@ class Geometry:
     bounds: Float
     radius: float
     profile: Float
-    millimetres: float | None = ranged(Range(1e-6, 1e6, "mm"), None)
+    millimetres: float | None = None
     known_framing: Framing | None = None
     rotation: Float | None = None
     gloss: tuple[Any, ...] | None = None
@@ -114,7 +103,8 @@ class Geometry:
     __getstate__ = parameters
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        if self.millimetres is not None:
+            MILLIMETRES.check("millimetres", self.millimetres)
 
     @classmethod
     def of(cls, name: str, parts: Sequence[Part], millimetres: float | None = None) -> Geometry:
@@ -145,7 +135,11 @@ class Geometry:
     @cached_property
     def framing(self) -> Framing:
         """The face, and the regions that cameras frame. The search takes about half a second."""
-        return self.known_framing or framing_of(self.parts, self.space, self.profile)
+        if self.known_framing:
+            return self.known_framing
+        from facerender.mesh.framing import framing_of
+
+        return framing_of(self.parts, self.space, self.profile)
 
     @property
     def shapes(self) -> tuple[str, ...]:
@@ -155,7 +149,7 @@ class Geometry:
     @cached_property
     def corners(self) -> Corners:
         """Corners of the faces, from which a pose computes its normals."""
-        return Corners.of(self.parts)
+        return Corners(self.parts)
 
     @cached_property
     def mean_normals(self) -> list[Float]:
@@ -198,9 +192,9 @@ class MeshPose:
         offsets = (part.positions - center for part in self.parts)
         squares = [np.einsum("ij,ij->i", vectors, vectors).max() for vectors in offsets]
         reach = math.sqrt(np.max(squares)) / radius
-        if not reach <= MOST_RADII:
+        if not reach <= MAX_RADII:
             distance = f"{reach:.3g} mesh radii from its centre"
-            remedy = f"give positions, weights, a clip or a time within {MOST_RADII:g} radii"
+            remedy = f"give positions, weights, a clip or a time within {MAX_RADII:g} radii"
             name = self.geometry.name
             raise InputError(f"the pose moves vertices of {name} to {distance}: {remedy}")
         return Space(tuple(center.tolist()), radius, reach if reach > 1.0 + 1e-9 else 1.0)
@@ -234,7 +228,7 @@ def are_closed(parts: Sequence[Part]) -> list[bool]:
     """
     positions, faces, welded, _ = stacked(parts)
     owners = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    corners, places = welded[faces], positions[faces]
+    corners, points = welded[faces], positions[faces]
     a, b = corners.ravel(), corners[:, [1, 2, 0]].ravel()
     keys = np.minimum(a, b) * (int(corners.max()) + 1) + np.maximum(a, b)
     _, edges = np.unique(keys, return_inverse=True)
@@ -244,7 +238,7 @@ def are_closed(parts: Sequence[Part]) -> list[bool]:
     vertices, numbers = np.divmod(users, len(parts))
     pairs = np.stack([numbers[:-1], numbers[1:]], axis=1)[vertices[:-1] == vertices[1:]]
     label = joined(pairs, len(parts))
-    volumes = np.linalg.det(places - places.mean(axis=(0, 1)))
+    volumes = np.linalg.det(points - points.mean(axis=(0, 1)))
     inwards = np.bincount(label[owners], volumes, len(parts)) < 0.0
     has_hole = np.bincount(label[owners], at_hole, len(parts)) > 0.0
     return list((~inwards & ~has_hole)[label])
@@ -279,109 +273,91 @@ def posed(
     if skeleton is None:
         remedy = "give a glTF file with a rig, or leave out the pose"
         raise InputError(f"{rest.name} has no shapes, clips or joints: {remedy}")
-    known = dict(skeleton.joints)
-    overrides = _checked(rest, "weights", weights, rest.shapes)
-    rotations = _checked(rest, "joints", joints, [*known])
-    selected = _clip(rest, skeleton.clips, clip, time)
-    moves: dict[int, dict[str, Sequence[float]]] = {}
-    if selected is not None:
-        moves = selected.at(0.0 if time is None else float(time))
-        if selected.ignored:
-            name = shown(selected.name)
-            warn(f"clip {name} of {rest.name} has channels of {selected.ignored}: ignored")
+    nodes = dict(skeleton.joints)
+    overrides = _checked(rest, "shape", weights, rest.shapes)
+    rotations = _checked(rest, "joint", joints, [*nodes])
+    animated_values = _clip_values(rest, skeleton.clips, clip, time)
     for name, angles in rotations.items():
         if any(angles):
-            moves.setdefault(known[name], {})["angles"] = angles
-    return _evaluated(rest, skeleton.worlds(moves), overrides, moves)
+            animated_values.setdefault(nodes[name], {})["angles"] = angles
+    world_matrices = skeleton.world_matrices(animated_values)
+    nodes_move = any(values.keys() - {"weights"} for values in animated_values.values())
+    positions: _Rows = [None] * len(rest.parts)
+    normals, lagging_positions = [*positions], dict[int, Float]()
+    for index, part in enumerate(rest.parts):
+        if (rig := part.rig) is None:
+            continue
+        clip_weights = animated_values.get(rig.node, {}).get("weights", rig.weights)
+        pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(rig.shapes)], strict=False)
+        mixed = tuple(float(overrides.get(shape.name, weight)) for shape, weight in pairs)
+        if nodes_move or mixed != rig.weights:
+            try:
+                positions[index], new_normals = rig.posed(world_matrices, mixed)
+            except ValueError as error:
+                problem = f"a shape of {rest.name} is damaged ({error})"
+                raise InputError(f"{problem}; export it again") from None
+            normals[index] = part.normals if new_normals is None else new_normals
+            if new_normals is not None and not np.isfinite(new_normals).all():
+                new_normals[~np.isfinite(new_normals).all(axis=1)] = 0.0
+        if (lagging := rig.lagging(mixed)) != mixed:
+            lagging_positions[index] = part.positions
+            if nodes_move or lagging != rig.weights:
+                rows, _ = replace(rig, normals=None).posed(world_matrices, lagging)
+                lagging_positions[index] = rows
+    if not lagging_positions:
+        return positions, normals
+    return positions, _following(rest, positions, lagging_positions, normals)
 
 
 def _checked(
-    geometry: Geometry, option: str, values: Mapping[str, Any] | None, known: Sequence[str]
+    geometry: Geometry, noun: str, values: Mapping[str, Any] | None, known: Sequence[str]
 ) -> dict[str, Any]:
-    """Return checked weights, keyed by shape, or joints, keyed by name."""
-    noun, label = ("shape", "weight of") if option == "weights" else ("joint", "joint")
-    limits = SHAPE_WEIGHTS if option == "weights" else ROTATIONS
-    check_type(option, values, Mapping | None, f"a mapping from names of {noun}s to numbers")
+    """Return checked weights, keyed by shape, or angles, keyed by joint."""
+    label, limits = ("weight of", SHAPE_WEIGHTS) if noun == "shape" else ("joint", ROTATIONS)
     for name in values or {}:
         if name not in known:
             names = _known(f"{noun}s", known)
-            raise InputError(f"{geometry.name} has no {noun} {shown(name)}: {names}")
-    return {n: limits.check(f"{label} {shown(n)}", value) for n, value in (values or {}).items()}
+            raise InputError(f"{geometry.name} has no {noun} {quoted(name)}: {names}")
+    return {n: limits.check(f"{label} {quoted(n)}", value) for n, value in (values or {}).items()}
 
 
-def _known(kind: str, names: Sequence[str]) -> str:
-    return f"its {kind} are {clipped(', '.join(names), 300)}" if names else f"it has no {kind}"
+def _known(nouns: str, names: Sequence[str]) -> str:
+    return f"its {nouns} are {clipped(', '.join(names), 300)}" if names else f"it has no {nouns}"
 
 
-def _clip(
+def _clip_values(
     geometry: Geometry, clips: Sequence[Clip], name: str | None, time: float | None
-) -> Clip | None:
-    """Return the clip of a name, or the first clip if only a time is given."""
+) -> dict[int, dict[str, Sequence[float]]]:
+    """Return the values of a clip, or of the first clip if only a time is given, at the time. For
+    the keys see :meth:`Clip.at`."""
     if name is None and time is None:
-        return None
-    check_type("clip", name, str | None, "the name of a clip")
-    matches = [clip for clip in clips if name in (None, clip.name)]
-    if not matches:
-        problem = f"time = {shown(time)} needs a clip" if name is None else f"clip = {shown(name)}"
+        return {}
+    clip = next((clip for clip in clips if name in (None, clip.name)), None)
+    if clip is None:
+        problem = (
+            f"time = {quoted(time)} needs a clip" if name is None else f"clip = {quoted(name)}"
+        )
         known = _known("clips", [clip.name for clip in clips])
         raise InputError(f"{problem}, which {geometry.name} lacks: {known}")
-    clip = matches[0]
-    label = f"clip {shown(clip.name)}"
+    label = f"clip {quoted(clip.name)}"
     if clip.fault:
         raise InputError(f"{label} of {geometry.name} is damaged ({clip.fault}); export it again")
     if time is not None:
         check_range(f"time of {label}", time, 0.0, clip.duration)
-    return clip
-
-
-def _evaluated(
-    geometry: Geometry, worlds: Mapping[int, Float], overrides: Mapping[str, float], moves: Moves
-) -> tuple[_Rows, _Rows]:
-    positions: _Rows = [None] * len(geometry.parts)
-    normals, behind = [*positions], dict[int, Float]()
-    turned_nodes = any(node_moves.keys() - {"weights"} for node_moves in moves.values())
-    for number, part in enumerate(geometry.parts):
-        if (rig := part.rig) is not None:
-            clip_weights = moves.get(rig.node, {}).get("weights", rig.weights)
-            pairs = zip(rig.shapes, [*clip_weights, *[0.0] * len(rig.shapes)], strict=False)
-            weights = tuple(float(overrides.get(shape.name, weight)) for shape, weight in pairs)
-            if turned_nodes or weights != rig.weights:
-                positions[number], normals[number] = _posed(geometry, part, rig, worlds, weights)
-            if (lagging := rig.lagging(weights)) != weights:
-                behind[number] = part.positions
-                if turned_nodes or lagging != rig.weights:
-                    behind[number], _ = replace(rig, normals=None).posed(worlds, lagging)
-    return positions, _following(geometry, positions, behind, normals) if behind else normals
-
-
-def _posed(
-    geometry: Geometry, part: Part, rig: Rig, worlds: Mapping[int, Float], weights: Sequence[float]
-) -> tuple[Float, Float]:
-    """Return positions and normals of a part. A normal that is not finite becomes 0."""
-    try:
-        places, normals = rig.posed(worlds, weights)
-    except ValueError as error:
-        name = geometry.name
-        raise InputError(f"a shape of {name} is damaged ({error}); export it again") from None
-    if normals is None:
-        return places, part.normals
-    if not np.isfinite(normals).all():
-        normals[~np.isfinite(normals).all(axis=1)] = 0.0
-    return places, normals
+    if clip.ignored:
+        warn(f"{label} of {geometry.name} has channels of {clip.ignored}: ignored")
+    return clip.at(0.0 if time is None else float(time))
 
 
 def _following(
-    geometry: Geometry, positions: _Rows, behind: Mapping[int, Float], normals: _Rows
+    geometry: Geometry, positions: _Rows, lagging_positions: Mapping[int, Float], normals: _Rows
 ) -> _Rows:
     """Return normals that follow shapes without own normals. A normal changes by the difference of
-    the face normals around its position with and without these shapes.
-
-    behind : positions of the same pose in which these shapes have their stored weights, keyed by
-        the part's index; other parts have the same positions
-    """
+    the face normals around its position with and without these shapes. In ``lagging_positions``,
+    keyed by the part's index, these shapes have their stored weights."""
     pairs = zip(geometry.parts, positions, strict=True)
-    moved = [part.positions if places is None else places for part, places in pairs]
-    lagging = [behind.get(number, places) for number, places in enumerate(moved)]
+    moved = [part.positions if rows is None else rows for part, rows in pairs]
+    lagging = [lagging_positions.get(index, rows) for index, rows in enumerate(moved)]
     stays = all(rows is part.positions for rows, part in zip(lagging, geometry.parts, strict=True))
     means = geometry.mean_normals if stays else map(unit, geometry.corners.normal_sums(lagging))
     new_means = map(unit, geometry.corners.normal_sums(moved))

@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, note, warn
 from facerender.material import Material
-from facerender.mesh.geometry import Geometry
-from facerender.mesh.mesh import Mesh, blends_only, coordinates, largest_opacity
+from facerender.mesh.mesh import Mesh, coordinates, largest_opacity
 from facerender.mesh.part import Float, Part
 from facerender.mesh.repair import double_areas
 from facerender.texture.texture import Texture
-from facerender.values.ranges import range_of
-from facerender.values.vectors import axis_of, upright_of
+from facerender.values.vectors import MILLIMETRES, axis_of, upright_of
 
 _Pieces = Sequence[tuple[Part, Float]]
 
@@ -49,23 +47,18 @@ def emit_framing(mesh: Mesh, frame: str) -> None:
 
 def emit_all(mesh: Mesh) -> None:
     """Emit the hints on the materials of a mesh, without decoding maps; see :func:`emit`."""
-    derived = mesh.geometry.derived
-    for hint, line in derived.of("hints", mesh.materials, lambda: _of_materials(mesh)):
+    derived, gloss, materials = mesh.geometry.derived, mesh.geometry.gloss, mesh.materials
+
+    def of_highlights() -> dict[Callable[..., str | None], str | None]:
+        is_of_file = gloss and all(gloss_of(materials[i]) == gloss[i] for i in mesh.skin)
+        return {no_ks: no_ks(mesh), faint: faint(mesh) if is_of_file else None}
+
+    # The maps are compared apart from the materials, because m changes more often.
+    maps = [(m.albedo_map, m.normal_map, m.alpha) for m in materials]
+    of_maps = lambda: {hint: hint(mesh) for hint in (upside_down, green_down)}  # noqa: E731
+    hints = derived.of("map hints", maps, of_maps)
+    for hint, line in {**hints, **derived.of("hints", materials, of_highlights)}.items():
         emit(mesh, hint, line)
-
-
-def _of_materials(mesh: Mesh) -> list[tuple[Callable[..., str | None], str | None]]:
-    """Return the hints on the materials of a mesh, with their functions."""
-    maps = [(m.albedo_map, m.normal_map, m.alpha) for m in mesh.materials]
-    of_maps = upside_down, green_down
-    lines: list[tuple[Callable[..., str | None], str | None]] = [
-        *mesh.geometry.derived.of("map hints", maps, lambda: [(h, h(mesh)) for h in of_maps]),
-        (no_ks, no_ks(mesh)),
-    ]
-    gloss = mesh.geometry.gloss
-    if gloss and all(gloss_of(mesh.materials[i]) == gloss[i] for i in mesh.skin):
-        lines.append((faint, faint(mesh)))
-    return lines
 
 
 def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
@@ -222,8 +215,8 @@ def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
 
 def _ranks(values: NDArray[Any]) -> Float:
     """Return the ranks of values, with mean 0. Equal values have equal ranks."""
-    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return np.asarray((np.cumsum(counts) - 0.5 * counts - 0.5 * len(values))[places])
+    _, indices, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * counts - 0.5 * len(values))[indices])
 
 
 def _correlation(a: Float, b: Float) -> float:
@@ -285,7 +278,7 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
 
 def no_ks(mesh: Mesh) -> str | None:
     """Return a hint if a part whose file has Ks 0 is drawn with highlights nevertheless."""
-    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    pairs = zip(mesh.geometry.parts, mesh.materials, strict=True)
     if not any(p.ks_ignored and not p.preset and m.ks == Material.ks for p, m in pairs):
         return None
     cause = f"{mesh.name} has Ks 0 in its MTL, which many exporters write by default"
@@ -310,7 +303,9 @@ def too_clear(mesh: Mesh, threshold: float) -> str | None:
     names = [
         part.name or "the part without a name"
         for part, material in zip(mesh.parts, mesh.materials, strict=True)
-        if blends_only(material) and largest_opacity(part, material) < threshold
+        if material.alpha == "blend"
+        and not material.transmission
+        and largest_opacity(part, material) < threshold
     ]
     if not names:
         return None
@@ -332,7 +327,7 @@ def millimetres_of(mesh: Mesh) -> tuple[float, bool] | None:
         head = framing.regions["head"]
         height = 2.0 * head.height * mesh.radius if head else 0.0
         length = _HEAD / height if height > 0.0 else 0.0
-    if length not in range_of(Geometry, "millimetres"):
+    if length not in MILLIMETRES:
         return None
     usual = min(_UNITS, key=lambda unit: abs(np.log(length / unit)))
     if 1.0 / _NEAR < length / usual < _NEAR:

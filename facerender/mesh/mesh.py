@@ -12,14 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from facerender.errors import InputError, check_type, each_of, number_of, parameters, shown, warn
+from facerender.errors import InputError, number_of, quoted, warn
 from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
-from facerender.mesh.face import Face
 from facerender.mesh.geometry import Geometry, MeshPose, are_closed, clips_of, posed, unit_or
-from facerender.mesh.part import Float, Part, Region, Space, used
+from facerender.mesh.part import Face, Float, Part, Region, Space, TriangleSetup, used
 from facerender.mesh.repair import Piece, clean, indices_of, linear_colors, split_at_seams, unique
-from facerender.mesh.setup import TriangleSetup
-from facerender.values.ranges import IntegerRange
+from facerender.values.fields import IntegerRange, parameters
 from facerender.values.vectors import rows_of
 
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
@@ -43,15 +41,11 @@ class Mesh:
     pose: MeshPose | None = None
 
     def __post_init__(self) -> None:
-        check_type("geometry", self.geometry, Geometry, "the geometry of a Mesh")
-        check_type("pose", self.pose, MeshPose | None, "the pose of a Mesh, or None")
-        materials = each_of("materials", self.materials, Material, "several facerender.Material")
-        if not 0 < len(self.geometry.parts) == len(materials):
-            raise InputError(
-                f"{self.name} has {len(self.geometry.parts)} parts and {len(materials)} materials: "
-                "give at least one part, and one material for each"
-            )
-        object.__setattr__(self, "materials", materials)
+        object.__setattr__(self, "materials", tuple(self.materials))
+        if not 0 < len(self.geometry.parts) == len(self.materials):
+            counts = f"{len(self.geometry.parts)} parts and {len(self.materials)} materials"
+            remedy = "give at least one part, and one material for each"
+            raise InputError(f"{self.name} has {counts}: {remedy}")
         check_maps(self.name, self.materials)
 
     __getstate__ = parameters
@@ -72,12 +66,8 @@ class Mesh:
         """Return a mesh in the reference pose, in which ``double_sided`` of the materials is set.
         Parts that share a material share the result, unless only one of them is closed."""
         geometry = Geometry.of(name, parts, millimetres)
-
-        @cache
-        def sided(material: Material, closed: bool) -> Material:
-            return replace(material, double_sided=not closed)
-
         if any(material.double_sided is None for material in materials):
+            sided = cache(lambda material, closed: replace(material, double_sided=not closed))
             pairs = zip(materials, are_closed(geometry.parts), strict=True)
             materials = [sided(m, shut) if m.double_sided is None else m for m, shut in pairs]
         return cls(geometry, tuple(materials))
@@ -126,17 +116,9 @@ class Mesh:
         material : None for skin, or for a white material if colors are given
         name : name of the mesh and of its part
         millimetres : millimetres per unit; scattering needs it
-
-        Raises
-        ------
-        InputError : invalid shape, values that are not finite numbers, a face index out of range,
-            maps without texture coordinates
         """
-        check_type("name of a mesh", name, str, "text")
-        check_type("material", material, Material | None, "a facerender.Material or None")
-        places = rows_of("positions", positions, (3,))
-        count = len(places)
-        hint = "; cut polygons into triangles"
+        rows = rows_of("positions", positions, (3,))
+        count, hint = len(rows), "; cut polygons into triangles"
         corners = indices_of("faces", faces, count, "vertex", "a face uses vertex", hint)
         if material is None:
             material = Material() if colors is None else Material(albedo=(1.0, 1.0, 1.0))
@@ -145,7 +127,7 @@ class Mesh:
             raise InputError(f"the material has {maps[0]}, but the mesh has no uv: give uv")
         if uv is None and uv_faces is not None:
             raise InputError("uv_faces without uv: give uv as well")
-        piece = Piece(places, corners, material=material, name=name)
+        piece = Piece(rows, corners, material=material, name=name)
         if normals is not None:
             piece.normals = rows_of("normals", normals, (3,), count=count)
         if colors is not None:
@@ -165,14 +147,10 @@ class Mesh:
         Parameters
         ----------
         parts, hide : part names, as several texts or one text with commas; ``*``, ``?`` and
-            ``[...]`` are wildcards as in file names
-
-        Raises
-        ------
-        InputError : no part matches a name, or no part remains
+            ``[...]`` are wildcards as in file names. A name without a match raises InputError
         """
-        chosen = self._named("parts", parts) or {*range(len(self.parts))}
-        remaining = sorted(chosen - self._named("hide", hide))
+        selected = self._named("parts", parts) or {*range(len(self.parts))}
+        remaining = sorted(selected - self._named("hide", hide))
         if not remaining:
             raise InputError(f"every part of {self.name} is hidden: {self._known()}; hide fewer")
         if len(remaining) == len(self.parts):
@@ -192,7 +170,7 @@ class Mesh:
         parts = enumerate(self.parts)
         matches = [i for i, p in parts if p.name == name or fnmatchcase(p.name, name)]
         if not matches:
-            raise InputError(f"no part of {self.name} is called {shown(name)}: {self._known()}")
+            raise InputError(f"no part of {self.name} is called {quoted(name)}: {self._known()}")
         return matches
 
     def _known(self) -> str:
@@ -205,7 +183,7 @@ class Mesh:
         """File name, for messages."""
         return self.geometry.name
 
-    @property
+    @cached_property
     def parts(self) -> tuple[Part, ...]:
         """The parts in the pose of the mesh."""
         return (self.pose or self.geometry).parts
@@ -232,20 +210,20 @@ class Mesh:
 
     @property
     def regions(self) -> Mapping[str, Region | None]:
-        """Regions that a camera may frame; see :class:`facerender.mesh.framing.Framing`."""
+        """Regions that a camera may frame; see :class:`facerender.mesh.part.Framing`."""
         return self.geometry.framing.regions
 
-    @property
+    @cached_property
     def space(self) -> Space:
         """The renderer's space."""
         return (self.pose or self.geometry).space
 
-    @property
+    @cached_property
     def token(self) -> object:
         """A value that no mesh with other vertices has; see :attr:`Geometry.token`."""
         return (self.pose or self.geometry).token
 
-    @property
+    @cached_property
     def setups(self) -> list[TriangleSetup]:
         """The triangles of each part as the GPU gets them."""
         return (self.pose or self.geometry).setups
@@ -255,7 +233,7 @@ class Mesh:
         """The mesh without back faces."""
         return self.with_material(double_sided=False)
 
-    @property
+    @cached_property
     def skin(self) -> tuple[int, ...]:
         """Indices of the parts that are skin: their ``Part.skin`` is true, and their materials have
         no transmission. If no part is skin, the indices of all parts."""
@@ -293,10 +271,6 @@ class Mesh:
         parts : names of the parts whose materials change, as in :meth:`select`; default: all parts,
             also eyes and hair; see :meth:`with_skin`
         preset : name of a preset, whose fields apply before ``changes``; see docs/skin.md
-
-        Raises
-        ------
-        InputError : no part matches a name, the preset is unknown, or a value is outside its range
         """
         table = changes if preset is None else {"preset": preset, **changes}
         return self._changed(self._named("parts", parts) or range(len(self.parts)), table)
@@ -312,26 +286,18 @@ class Mesh:
 
         A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
         mesh of the first call, so that the image stays while the face moves. See
-        :func:`facerender.tracked`.
+        :func:`facerender.tracked`. Baked occlusion remains that of the reference pose, with a
+        FacerenderWarning.
 
         Parameters
         ----------
         positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
             made, or for each vertex of all parts in order. Or an array for each part, as a list, or
             as a mapping by part name; parts without an array (None) stay as they are. In the axes
-            of the file: :attr:`rotation` is applied
+            of the file: :attr:`rotation` is applied. At most 1e6 mesh radii from the centre
         normals : like positions, vectors of any length. None to compute them: area-weighted means
             of face normals, also across texture seams and parts. Creases of the reference pose
             remain creases
-
-        Raises
-        ------
-        InputError : a shape is wrong, values are not finite numbers, no part has a name, or a
-            vertex is more than 1e6 mesh radii from the centre
-
-        Warns
-        -----
-        FacerenderWarning : the mesh has baked occlusion, which remains that of the reference pose
         """
         arrays = {"positions": positions, "normals": normals}
         columns = [_rows_of_parts(self, *pair) for pair in arrays.items()]
@@ -340,8 +306,8 @@ class Mesh:
                 columns = [[r if r is None else r @ rotation.T for r in rows] for rows in columns]
         return moved(self, *columns)
 
-    def _changed(self, chosen: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
-        old = {i: self.materials[i] for i in chosen}
+    def _changed(self, indices: Iterable[int], changes: Mapping[str, Any]) -> Mesh:
+        old = {i: self.materials[i] for i in indices}
         updates = {i: changed(material, changes) for i, material in old.items()}
         unused = {"second_slope": 1.0, "lobe_weight": 1.0, "lobe_map": None}
         asked = [key for key, value in unused.items() if changes.get(key, value) != value]
@@ -379,6 +345,8 @@ class Mesh:
     ) -> Mesh:
         """Return a copy of the mesh in another pose. Triangles, materials and camera framing do
         not change. Every pose starts from the pose in the file, also if this mesh has another one.
+        Channels of KHR_animation_pointer are ignored with a FacerenderWarning; for baked occlusion
+        see :meth:`with_positions`.
 
         Parameters
         ----------
@@ -391,16 +359,6 @@ class Mesh:
         clip : name of an animation, see :attr:`clips`; None: the first one if ``time`` is given,
             otherwise the pose in the file
         time : time in seconds, from 0 to the length of the clip; None: 0
-
-        Raises
-        ------
-        InputError : the mesh has no shapes, clips or joints, a name is unknown, a value is outside
-            its range, a clip or shape is damaged, or a vertex moves too far
-
-        Warns
-        -----
-        FacerenderWarning : the clip has channels of KHR_animation_pointer, which are ignored; or
-            the mesh has baked occlusion, see :meth:`with_positions`
         """
         return moved(replace(self, pose=None), *posed(self.geometry, weights, joints, clip, time))
 
@@ -420,23 +378,12 @@ def drawn_alpha(part: Part, material: Material) -> Alpha:
     return "opaque" if material.solid else material.alpha
 
 
-def blends_only(material: Material) -> bool:
-    """Return whether a material is blended and transmits no light."""
-    return material.alpha == "blend" and not material.transmission
-
-
 def largest_opacity(part: Part, material: Material) -> float:
     """Return the largest opacity of a part. Decodes the opacity map if necessary."""
     texture = material.opacity_map
     if texture is None or coordinates(part, material, "opacity_map") is None:
         return material.opacity
     return material.opacity * float(texture.ends()[1, 0]) / 255.0
-
-
-def base_slope(part: Part, material: Material) -> float:
-    """Return m of a part's first lobe, or the factor that maps squared roughness texels to m."""
-    mapped = material.roughness_map and coordinates(part, material, "roughness_map") is not None
-    return material.roughness_factor**2 if mapped else material.m
 
 
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
@@ -458,8 +405,10 @@ def warn_of_one_lobe(name: str, field: str) -> None:
 def names_of(option: str, names: Any) -> tuple[str, ...]:
     """Return part names from one text with commas or from several texts. Raises InputError for a
     value that is not text."""
-    names = names.split(",") if isinstance(names, str) else names
-    texts = each_of(option, names, str, "names of parts")
+    several = names.split(",") if isinstance(names, str) else names
+    texts = [*several] if isinstance(several, Iterable) else [several]
+    if not all(isinstance(text, str) for text in texts):
+        raise InputError(f"{option} = {quoted(names)}: give names of parts")
     return tuple(name for text in texts if (name := text.strip()))
 
 
@@ -532,7 +481,6 @@ def find_face(mesh: Mesh) -> Face | None:
     The search needs no texture, no names and no orientation. See :mod:`facerender.mesh.face` for
     the method. A mesh finds its face once.
     """
-    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     return mesh.geometry.framing.face
 
 
@@ -542,12 +490,11 @@ def tracked(mesh: Mesh) -> Mesh:
     Orbiting cameras move by the median displacement of the head's vertices from the reference pose.
     If no head is found, all vertices count. A mesh in the reference pose is returned unchanged.
     """
-    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    geometry = mesh.geometry
     if mesh.pose is None:
         return mesh
+    geometry = mesh.geometry
     head = geometry.framing.regions["head"]
-    assert head is not None
+    assert head is not None  # only "auto" may be None
     masks = [used(part.positions, part.faces) for part in geometry.parts]
     before, after = (
         np.concatenate([part.positions[mask] for part, mask in zip(parts, masks, strict=True)])

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender import __version__
-from facerender.errors import InputError, check_switch, check_type, warn
+from facerender.errors import warn
 from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha
 from facerender.mesh.part import Part
 from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
+from facerender.system.process import optional
 
 Floats = NDArray[np.float32]
 Numbers = NDArray[np.int64]
@@ -21,7 +22,7 @@ Numbers = NDArray[np.int64]
 DIRECTIONS = 512  # ray directions on the whole sphere; half of them are on a vertex's outer side
 # Distance of ray origins from the surface, in mesh radii; float32 resolves 1e-7 mesh radii.
 _OFFSET = 1e-4
-_AT_ONCE = 1 << 16  # number of rays that are traced at once
+_BLOCK = 1 << 16  # rays that are traced at once, to limit the memory
 
 
 def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
@@ -35,24 +36,14 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     as with 256 cosine-distributed rays, but deterministic and without noise between neighbouring
     vertices. Vertices with equal position and normal, for example at seams of texture coordinates,
     share one value. Opaque parts block rays from both sides. Parts that are not opaque, or have
-    transmission, do not block rays and get no occlusion.
+    transmission, do not block rays and get no occlusion. A mesh that has only such parts, or parts
+    with occlusion maps, is returned unchanged with a FacerenderWarning.
 
     Parameters
     ----------
     mesh : from :func:`facerender.load_mesh`; :func:`facerender.simplified` keeps baked occlusion
     cache : whether to read and write baked occlusion in ``~/.cache/facerender``
-
-    Raises
-    ------
-    InputError : embreex is not installed
-
-    Warns
-    -----
-    FacerenderWarning : every part has an occlusion map or is not opaque; the mesh is returned
-        unchanged
     """
-    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-    check_switch("cache", cache)
     pairs = [*zip(mesh.parts, mesh.materials, strict=True)]
     solid = [drawn_alpha(*pair) == "opaque" and not pair[1].transmission for pair in pairs]
     bare = [
@@ -80,8 +71,8 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
 def _values(vertices: NDArray[np.float64], faces: Numbers, cache: bool) -> NDArray[np.float64]:
     """Return the occlusion of vertices, given as rows (N, 6) of position and normal, with the disk
     cache if ``cache`` is true. Vertices that no face uses get 1."""
-    facts = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
-    name = digest_of(facts, vertices.data, faces.data) if cache else ""
+    version = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
+    name = digest_of(version, vertices.data, faces.data) if cache else ""
     if cache and (content := disk_cache.read("occlusion", name)) is not None:
         return np.frombuffer(content)
     used, corners = np.unique(faces, return_inverse=True)
@@ -103,24 +94,20 @@ def _open_fraction(
     vertices : rows (N, 6) of position and normal
     corners : (F, 3), the index into ``vertices`` for each corner of ``faces``
     """
-    try:
-        from embreex.mesh_construction import TriangleMesh
-        from embreex.rtcore_scene import EmbreeScene
-    except ImportError:
-        need = "baking occlusion needs the package embreex"
-        raise InputError(f"{need}; pip install 'facerender[rays]'") from None
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
+    missing = "baking occlusion needs the package embreex; pip install 'facerender[rays]'"
+    scene = optional("embreex.rtcore_scene", missing).EmbreeScene()
+    construction = optional("embreex.mesh_construction", missing)
+    construction.TriangleMesh(scene, np.ascontiguousarray(positions), faces.astype(np.int32))
     offsets = _off_surface(positions, faces, vertices, corners)
     starts = vertices[:, :3] + np.float32(_OFFSET) * offsets
     # Unit vectors, evenly distributed on a golden-ratio spiral
-    numbers = np.arange(DIRECTIONS) + 0.5
-    heights = 1.0 - 2.0 * numbers / DIRECTIONS
-    angles, radii = numbers * (np.pi * (3.0 - np.sqrt(5.0))), np.sqrt(1.0 - heights**2)
+    indices = np.arange(DIRECTIONS) + 0.5
+    heights = 1.0 - 2.0 * indices / DIRECTIONS
+    angles, radii = indices * (np.pi * (3.0 - np.sqrt(5.0))), np.sqrt(1.0 - heights**2)
     spiral = np.stack([radii * np.cos(angles), heights, radii * np.sin(angles)], axis=1)
     fractions = []
-    for first in range(0, len(vertices), _AT_ONCE):
-        rows = slice(first, first + _AT_ONCE)
+    for first in range(0, len(vertices), _BLOCK):
+        rows = slice(first, first + _BLOCK)
         origins, normals = starts[rows], vertices[rows, 3:]
         through, total = np.zeros((2, len(origins)))
         for direction in spiral.astype(np.float32):

@@ -1,10 +1,14 @@
-"""Parts, the triangles of one material, and regions of a mesh that cameras frame."""
+"""Parts, the triangles of one material, as a mesh has them and as the GPU gets them. The face
+of a mesh, and the regions that cameras frame."""
 
 from __future__ import annotations
 
+import math
 import zlib
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from operator import add
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -14,6 +18,10 @@ if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
 
 Float = NDArray[np.float64]
+
+# Clip coordinates of corners whose bounds are the whole image.
+_EVERYWHERE = np.array([[x, y, 0.0, 1.0] for x in (-1.0, 1.0) for y in (-1.0, 1.0)] * 2)
+_EDGE_ON = 0.01  # sine of the angle between view ray and triangle
 
 
 def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
@@ -126,3 +134,157 @@ class Region:
     def profile(self) -> Float:
         """Outline of the cylinder: distance from its axis, and height, like ``Mesh.profile``."""
         return np.array([(self.radius, self.height), (self.radius, -self.height)])
+
+
+@dataclass(frozen=True, eq=False)
+class Face:
+    """A face, as :func:`facerender.find_face` returns it.
+
+    eyes : (2, 3) centres of the eyes on the surface, first the one on the viewer's left
+    up, front : (3,) unit vectors, to the top of the head and in the direction in which it looks
+    eye_distance : distance of the eyes, about 63 mm for adults
+    score : agreement with a face; at least 0.85, about 0.95 for a scan, 1.05 for the built-in head
+    """
+
+    eyes: Float
+    up: Float
+    front: Float
+    eye_distance: float
+    score: float
+
+    def __repr__(self) -> str:
+        return f"<Face with score {self.score:.2f}, eyes {self.eye_distance:.4g} apart>"
+
+    @property
+    def axes(self) -> Float:
+        """Rotation (3, 3), for column vectors, to a face that looks along +z with y up."""
+        return np.stack([np.cross(self.up, self.front), self.up, self.front])
+
+
+@dataclass(frozen=True, eq=False)
+class Framing:
+    """The face of a geometry, and what cameras frame.
+
+    face : in mesh space; None if no face is found
+    regions : "head", "face", "eyes" and "auto", in the renderer's space. "auto" is the head if the
+        mesh is clearly larger than a head, and otherwise None: the whole mesh
+    source : of the regions if no face is found, for a warning: "the names of its parts" or
+        "its outline"; "" if there is a face, or nothing that may be a head
+    """
+
+    face: Face | None
+    regions: Mapping[str, Region | None]
+    source: str
+
+
+class Area(NamedTuple):
+    """A rectangle of an image: left column, lowest row, width and height in pixels."""
+
+    left: int = 0
+    low: int = 0
+    width: int = 0
+    height: int = 0
+
+    @classmethod
+    def around(cls, areas: Sequence[Area]) -> Area:
+        """Return the bounds of several areas, (0, 0, 0, 0) if all of them are empty. Others that
+        are empty are ignored."""
+        filled = [area for area in areas if area[2] and area[3]]
+        if not filled:
+            return cls()
+        lefts, lows, widths, heights = zip(*filled, strict=True)
+        left, low = min(lefts), min(lows)
+        right = max(map(add, lefts, widths))
+        return cls(left, low, right - left, max(map(add, lows, heights)) - low)
+
+
+def face_normals(
+    columns: NDArray[Any], faces: NDArray[Any]
+) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+    """Return the first corner and the normal of each triangle, (3, F). The length of a normal is
+    twice the triangle's area.
+
+    columns : x, y and z of the vertices, (3, N)
+    faces : (3, F)
+    """
+    a, b, c = (columns.take(corner, axis=1) for corner in faces)
+    (ux, uy, uz), (vx, vy, vz) = b - a, c - a
+    return a, [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
+
+
+@dataclass(frozen=True, eq=False)
+class TriangleSetup:
+    """The triangles of a part in the renderer's space, as the GPU gets them.
+
+    vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
+    faces : (F, 3) uint32, indices of vertices
+    positions : (N, 3), the vertex positions alone
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    positions: NDArray[np.float32] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "positions", self.vertices[:, :3])
+
+    @classmethod
+    def of(cls, part: Part, space: Space) -> TriangleSetup:
+        """Return the triangle setup of a part of a mesh."""
+        vertices = np.empty((len(part.positions), 6), dtype=np.float32)
+        vertices[:, :3], vertices[:, 3:] = space.normalised(part.positions), part.normals
+        return cls(vertices, np.asarray(part.faces, dtype=np.uint32))
+
+    @cached_property
+    def bounds(self) -> NDArray[np.floating[Any]]:
+        """Corners of the vertices' bounding box, homogeneous, (8, 4)."""
+        columns = np.ascontiguousarray(self.positions.T)
+        sides = zip(columns.min(axis=1), columns.max(axis=1), strict=True)
+        return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
+
+    @cached_property
+    def planes(self) -> NDArray[np.float32]:
+        """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
+        columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
+        corners, vectors = face_normals(columns, faces)
+        normals = np.stack(vectors)
+        normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
+        return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
+
+    def facing(self, camera: Float) -> NDArray[np.int64]:
+        """Return the indices of the triangles that can face a camera at the given position (3,).
+
+        Triangles that are seen edge-on are included, because a driver rounds positions to fractions
+        of a pixel before it decides which triangles are back faces.
+        """
+        edge_on = -_EDGE_ON * (1.0 + math.sqrt(camera @ camera))
+        return (np.array((*camera, 1.0), dtype=np.float32) @ self.planes > edge_on).nonzero()[0]
+
+
+def areas_of(
+    bounds: Float, view: Float, size: tuple[int, int], groups: Mapping[Any, Sequence[int]]
+) -> dict[Any, Area]:
+    """Return the bounds of each part in an image by its index, empty for a part outside the image;
+    and the bounds of groups of parts by their names.
+
+    bounds : (parts, 8, 4), see :attr:`TriangleSetup.bounds`
+    view : matrix of the image's :class:`View`
+    size : width and height of the image
+    groups : indices of parts
+    """
+    clip = bounds @ view
+    w = clip[..., 3:]
+    if np.minimum.reduce(w, None) <= 0.0:  # a part may reach the camera
+        w = np.where(behind := w.min(axis=1, keepdims=True) <= 0.0, 1.0, w)
+        clip = np.where(behind, _EVERYWHERE, clip)
+    corners = (clip[..., :2] / w * 0.5 + 0.5) * size
+    # The largest of negated corners are the lowest ones: one array serves all four sides.
+    sides = np.maximum.reduce(np.concatenate([-corners, corners], axis=2), 1)
+    width, height = size
+    sides = np.maximum(np.ceil(sides), (-width, -height, 0, 0))
+    sides = np.minimum(sides, (0, 0, width, height)).astype(int)
+    rows = (Area(-left, -low, left + right, low + top) for left, low, right, top in sides.tolist())
+    areas: dict[Any, Area] = dict(enumerate(rows))
+    for name, indices in groups.items():
+        areas[name] = Area.around([areas[index] for index in indices])
+    return areas

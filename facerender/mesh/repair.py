@@ -25,7 +25,7 @@ Integers = NDArray[np.int64]
 # products of areas with positions neither overflow nor become 0 in float64.
 _HUGE, _TINY = 1e60, 1e-60
 _CURVE_BITS = 10  # for each axis of the curve that orders faces
-_MOST_PIECES = 1024  # limit, because every part needs a draw call in each pass
+_MAX_PIECES = 1024  # limit, because every part needs a draw call in each pass
 
 VERTEX_ARRAYS = ("positions", "normals", "uv", "uv2", "colors")
 
@@ -68,10 +68,10 @@ def in_space_order(faces: Integers, positions: Float) -> Integers:
     adjacent = np.count_nonzero((faces[1:, :, None] == faces[:-1, None]).any(axis=(1, 2)))
     if 2 * adjacent >= len(faces) - 1:
         return faces
-    places = positions[faces[:, 0]]
-    low = places.min(axis=0)
-    extent = float((places.max(axis=0) - low).max()) or 1.0
-    cells = ((places - low) * ((2**_CURVE_BITS - 1) / extent)).astype(np.int64)
+    points = positions[faces[:, 0]]
+    low = points.min(axis=0)
+    extent = float((points.max(axis=0) - low).max()) or 1.0
+    cells = ((points - low) * ((2**_CURVE_BITS - 1) / extent)).astype(np.int64)
     codes = np.zeros(len(faces), dtype=np.int64)
     for bit in range(_CURVE_BITS):
         codes |= ((cells >> bit & 1) @ (1, 2, 4)) << 3 * bit
@@ -93,8 +93,8 @@ def unique(names: Iterable[str]) -> Iterator[str]:
 
 def check_count(count: int, name: str) -> None:
     """Raise InputError if a file has too many parts."""
-    if count > _MOST_PIECES:
-        raise InputError(f"{name} has more than {_MOST_PIECES} parts with materials: join some")
+    if count > _MAX_PIECES:
+        raise InputError(f"{name} has more than {_MAX_PIECES} parts with materials: join some")
 
 
 def placed(piece: Piece, transform: Float) -> Piece:
@@ -117,12 +117,6 @@ def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Pie
     return replace(piece, **arrays, faces=faces, sources=sources, source_count=count)
 
 
-def subset(piece: Piece, mask: NDArray[np.bool_]) -> Piece:
-    """Return the faces in a mask (F,) of a piece, with the vertices that these faces use."""
-    vertices, inverse = np.unique(piece.faces[mask], return_inverse=True)
-    return replace(with_faces(piece, inverse.reshape(-1, 3), vertices), out_of_range=0)
-
-
 def with_face_colors(piece: Piece, colors: Float) -> Piece:
     """Return a piece with a colour (F, 3) for each face: faces share a vertex only if they have the
     same colour."""
@@ -134,13 +128,13 @@ def with_face_colors(piece: Piece, colors: Float) -> Piece:
 
 
 def indices_of(
-    name: str, indices: ArrayLike, count: int, kind: str, uses: str, hint: str = ""
+    name: str, indices: ArrayLike, count: int, noun: str, uses: str, hint: str = ""
 ) -> NDArray[np.int64]:
-    """Return indices (F, 3) in [0, count) from an array or nested lists. ``kind`` names the indices
+    """Return indices (F, 3) in [0, count) from an array or nested lists. ``noun`` names the indices
     in messages, and ``uses`` begins the message about an invalid one."""
     rows = rows_of(name, indices, (3,), hint)
     if (rows != np.floor(rows)).any():
-        raise InputError(f"{name} are not whole numbers: give {kind} indices")
+        raise InputError(f"{name} are not whole numbers: give {noun} indices")
     if ((rows < 0) | (rows >= count)).any():
         bad = int(rows.min()) if (rows < 0).any() else int(rows.max())
         raise InputError(f"{uses} {bad} of {count}: give indices from 0 on")
@@ -270,16 +264,16 @@ def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
 def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     """Raise InputError if a mesh is too small to compute its areas; warn about outliers. If
     the camera frames outliers, the rest of the mesh is only a dot in the image."""
-    drawn = np.concatenate([p.positions[used(p.positions, p.faces)] for p in pieces])
-    extent = float(np.ptp(drawn, axis=0).max())
+    points = np.concatenate([p.positions[used(p.positions, p.faces)] for p in pieces])
+    extent = float(np.ptp(points, axis=0).max())
     if 0.0 < extent < _TINY:
         raise InputError(f"{name} is {extent:g} units wide, below {_TINY:g}: scale it up")
-    middle = np.median(drawn, axis=0)
-    distances = np.linalg.norm(drawn - middle, axis=1)
+    middle = np.median(points, axis=0)
+    distances = np.linalg.norm(points - middle, axis=1)
     near = float(np.quantile(distances, 0.9, method="lower"))
     far = distances > max(32.0 * near, _TINY)
     if far.any():
-        x, y, z = drawn[np.argmax(distances)]
+        x, y, z = points[np.argmax(distances)]
         warn(
             f"{name} has {int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g}); "
             f"90 % are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}) and will "
@@ -353,17 +347,17 @@ def stacked(parts: Sequence[Part | Piece]) -> tuple[Float, Integers, Integers, I
     and the first vertex of each part. Positions that are equal after rounding to about 2^-21 of the
     mesh's extent share an index."""
     starts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    places = np.concatenate([part.positions for part in parts])
+    all_positions = np.concatenate([part.positions for part in parts])
     joint = np.concatenate([p.faces + start for p, start in zip(parts, starts, strict=False)])
-    mask = used(places, joint)
-    positions = places[mask]
+    mask = used(all_positions, joint)
+    positions = all_positions[mask]
     extent = float(np.ptp(positions, axis=0).max()) or 1.0
     # 2^21 - 2 is even, so that a plane of symmetry is rounded to the middle of a cell.
     cells = np.round((positions - positions.min(axis=0)) * ((2**21 - 2) / extent)).astype(np.int64)
     keys = (cells[:, 0] << 42) | (cells[:, 1] << 21) | cells[:, 2]
-    welded = np.zeros(len(places), dtype=np.int64)
+    welded = np.zeros(len(all_positions), dtype=np.int64)
     welded[mask] = np.unique(keys, return_inverse=True)[1]
-    return places, joint, welded, starts
+    return all_positions, joint, welded, starts
 
 
 def _wind_consistently(faces: Integers, welded: Integers, positions: Float, name: str) -> Integers:

@@ -19,11 +19,11 @@ from facerender.values.vectors import rotation_of, transformed
 
 Float = NDArray[np.float64]
 Array = NDArray[Any]
-Moves = Mapping[int, Mapping[str, Sequence[float]]]
+AnimatedValues = Mapping[int, Mapping[str, Sequence[float]]]
 Path = Literal["translation", "rotation", "scale", "weights"]
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
 
-_AT_ONCE = 1 << 13  # vertices skinned at a time, so that their matrices stay in the CPU's cache
+_BLOCK = 1 << 13  # vertices skinned at once, so that their matrices stay in the CPU's cache
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,14 +31,14 @@ class Node:
     """A node of a scene in its stored pose: its index in the file, that of its parent, or None, and
     its transforms, see :func:`local_matrix`."""
 
-    number: int
+    index: int
     parent: int | None
     transforms: Mapping[str, Sequence[float]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
-    """Keys of one property, the path, of the node with a number.
+    """Keys of one property, the path, of the node with an index.
 
     times : (K,) float64, in seconds, in increasing order
     values : (K, W); (K, 3, W) with in-tangent, value and out-tangent for a cubic spline
@@ -112,7 +112,7 @@ class Clip:
         return max((float(track.times[-1]) for track in self.tracks), default=0.0)
 
     def at(self, time: float) -> dict[int, dict[str, Sequence[float]]]:
-        """Return the values at a time, keyed by the node's number and the property."""
+        """Return the values at a time, keyed by the node's index and the property."""
         values: dict[int, dict[str, Sequence[float]]] = {}
         for track in self.tracks:
             values.setdefault(track.node, {})[track.path] = track.at(time)
@@ -129,37 +129,37 @@ class Skeleton:
     joints: tuple[tuple[str, int], ...] = ()
     root: Float | None = None
 
-    def worlds(self, moves: Moves) -> dict[int, Float]:
-        """Return the world matrix (4, 4) of each node, keyed by its number. Moves replace stored
-        transforms, as from :meth:`Clip.at`, or are "angles", see :meth:`Mesh.with_pose`."""
-        worlds: dict[int, Float] = {}
+    def world_matrices(self, animated_values: AnimatedValues) -> dict[int, Float]:
+        """Return the world matrix (4, 4) of each node, keyed by its index. Animated values replace
+        stored transforms, as from :meth:`Clip.at`, or are "angles", see :meth:`Mesh.with_pose`."""
+        matrices: dict[int, Float] = {}
         changes: dict[int | None, Float] = {}  # transforms in mesh space that follow from angles
         for node in self.nodes:
-            node_moves = moves.get(node.number, {})
-            local = self._locals[node.number]
-            if node_moves:
-                local = local_matrix({**node.transforms, **node_moves})
-            parent = self.root if node.parent is None else worlds[node.parent]
-            world = worlds[node.number] = local if parent is None else parent @ local
+            node_values = animated_values.get(node.index, {})
+            local = self._locals[node.index]
+            if node_values:
+                local = local_matrix({**node.transforms, **node_values})
+            parent = self.root if node.parent is None else matrices[node.parent]
+            world = matrices[node.index] = local if parent is None else parent @ local
             if node.parent in changes:
-                changes[node.number] = changes[node.parent]
-            if "angles" in node_moves:
+                changes[node.index] = changes[node.parent]
+            if "angles" in node_values:
                 change = np.eye(4)
-                change[:3, :3] = rotation_of(node_moves["angles"])
+                change[:3, :3] = rotation_of(node_values["angles"])
                 change[:3, 3] = world[:3, 3] - change[:3, :3] @ world[:3, 3]
-                changes[node.number] = changes.get(node.parent, np.eye(4)) @ change
-        return {n: changes[n] @ world if n in changes else world for n, world in worlds.items()}
+                changes[node.index] = changes.get(node.parent, np.eye(4)) @ change
+        return {i: changes[i] @ world if i in changes else world for i, world in matrices.items()}
 
     @cached_property
     def _locals(self) -> dict[int, Float]:
-        return {node.number: local_matrix(node.transforms) for node in self.nodes}
+        return {node.index: local_matrix(node.transforms) for node in self.nodes}
 
-    def below(self, numbers: Iterable[int]) -> set[int]:
-        """Return the numbers of the given nodes and of all nodes below them."""
-        subtree = set(numbers)
+    def below(self, indices: Iterable[int]) -> set[int]:
+        """Return the indices of the given nodes and of all nodes below them."""
+        subtree = set(indices)
         for node in self.nodes:
             if node.parent in subtree:
-                subtree.add(node.number)
+                subtree.add(node.index)
         return subtree
 
 
@@ -185,16 +185,16 @@ class Shape:
 class Skin:
     """The joints that move a part.
 
-    joints : numbers of the nodes
+    joints : indices of the nodes
     inverse : (J, 4, 4), inverse bind matrices; None: unit matrices
-    indices, fractions : (K, N), K joints of each vertex as indices into ``joints``, and weights,
+    indices, weights : (K, N), K joints of each vertex as indices into ``joints``, and weights,
         which add up to 1
     """
 
     joints: tuple[int, ...]
     inverse: Float | None
     indices: Array
-    fractions: Float
+    weights: Float
 
     @classmethod
     def of(
@@ -204,11 +204,11 @@ class Skin:
         follow their first joint. Raises ValueError if a joint index is out of range."""
         if indices.size and indices.max() >= len(joints):
             raise ValueError(f"a vertex uses joint {indices.max()}, the skin has {len(joints)}")
-        fractions = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
-        fractions[:, 0] += fractions.sum(axis=1) == 0.0
-        fractions /= fractions.sum(axis=1, keepdims=True)
+        weights = np.maximum(np.nan_to_num(weights.astype(np.float64)), 0.0)
+        weights[:, 0] += weights.sum(axis=1) == 0.0
+        weights /= weights.sum(axis=1, keepdims=True)
         columns = indices.T.astype(np.uint16 if len(joints) < 1 << 16 else np.uint32, order="C")
-        return cls(joints, inverse, columns, np.ascontiguousarray(fractions.T))
+        return cls(joints, inverse, columns, np.ascontiguousarray(weights.T))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -216,12 +216,12 @@ class Rig:
     """The data that move the vertices of a part.
 
     skeleton : nodes and clips, shared by the parts of a file
-    node : number of the node whose mesh the part belongs to
+    node : index of the node whose mesh the part belongs to
     positions : (N, 3), in the node's space, before morph targets
     normals : (N, 3), as the positions, vectors of any length; None until the file's reader computes
         missing normals, see :meth:`with_normals`
     weights : stored weights of the shapes
-    placed : whether the node places the part; false with a skin
+    placed : whether the node points the part; false with a skin
     offset : (4, 4), transform of an instance within the node's space; None: no transform
     sign : 1, or -1 if the normals have to be reversed, because the file's faces are inside out
     """
@@ -243,32 +243,32 @@ class Rig:
         return tuple(stored if s.normal_rows is None else weight for s, stored, weight in rows)
 
     def posed(
-        self, worlds: Mapping[int, Float], weights: Sequence[float]
+        self, world_matrices: Mapping[int, Float], weights: Sequence[float]
     ) -> tuple[Float, Float | None]:
         """Return positions (N, 3) and normals (N, 3) in mesh space, for a weight of each shape. The
         normals have any length; they are None if the part has none or a matrix is singular."""
-        places, normals = morphed(self.positions, self.normals, self.shapes, weights)
+        points, normals = morphed(self.positions, self.normals, self.shapes, weights)
         if self.skin is not None:
-            places, normals, _ = skinned(places, normals, self.skin, worlds)
+            points, normals, _ = skinned(points, normals, self.skin, world_matrices)
         else:
-            places, normals, _ = transformed(places, normals, self._matrix(worlds))
-        return places, None if normals is None else self.sign * normals
+            points, normals, _ = transformed(points, normals, self._matrix(world_matrices))
+        return points, None if normals is None else self.sign * normals
 
-    def _matrix(self, worlds: Mapping[int, Float]) -> Float:
+    def _matrix(self, world_matrices: Mapping[int, Float]) -> Float:
         if not self.placed:
             return np.eye(4) if self.skeleton.root is None else self.skeleton.root
-        world = worlds[self.node]
+        world = world_matrices[self.node]
         return world if self.offset is None else world @ self.offset
 
     def with_normals(self, normals: Float) -> Rig:
         """Return a rig with normals that :meth:`posed` maps to the given ones, (N, 3), in the
         stored pose. The normals of the shapes are dropped."""
-        worlds = self.skeleton.worlds({})
+        world_matrices = self.skeleton.world_matrices({})
         if self.skin is None:
-            node_normals = normals @ self._matrix(worlds)[:3, :3]
+            node_normals = normals @ self._matrix(world_matrices)[:3, :3]
         else:
             node_normals = np.empty_like(normals)
-            for rows, blend in _blended(self.skin, worlds):
+            for rows, blend in _blended(self.skin, world_matrices):
                 a, b, c, _, d, e, f, _, g, h, i, _ = blend
                 x, y, z = normals[rows].T
                 node_normals[rows] = np.stack(
@@ -311,29 +311,29 @@ def morphed(
     have any length. The arguments do not change. Raises ValueError if a target whose weight is not
     0 is damaged."""
     active = [(s, w) for s, w in zip(shapes, weights, strict=False) if w]
-    places = np.array(positions, dtype=np.float64)
+    points = np.array(positions, dtype=np.float64)
     if normals is not None and any(shape.normal_rows is not None for shape, _ in active):
         normals = np.array(normals, dtype=np.float64)
     for shape, weight in active:
         if shape.fault:
             raise ValueError(shape.fault)
-        arrays = (places, shape.rows, shape.moves), (normals, shape.normal_rows, shape.normal_moves)
+        arrays = (points, shape.rows, shape.moves), (normals, shape.normal_rows, shape.normal_moves)
         for vectors, rows, moves in arrays:
             if vectors is not None and rows is not None and moves is not None:
                 every = len(rows) == len(vectors)
                 vectors[... if every else rows] += np.multiply(moves, weight, dtype=np.float64)
-    return places, normals
+    return points, normals
 
 
 def skinned(
-    positions: Float, normals: Array | None, skin: Skin, worlds: Mapping[int, Float]
+    positions: Float, normals: Array | None, skin: Skin, world_matrices: Mapping[int, Float]
 ) -> tuple[Float, Float | None, bool]:
     """Return skinned positions and normals, and whether skinning mirrors most vertices. The
     normals have any length, and the direction of the inverse transpose."""
     moved = np.empty((len(positions), 3))
     turned = None if normals is None else np.empty((len(positions), 3))
     mirrored = 0
-    for rows, (a, b, c, x, d, e, f, y, g, h, i, z) in _blended(skin, worlds):
+    for rows, (a, b, c, x, d, e, f, y, g, h, i, z) in _blended(skin, world_matrices):
         p, q, r = np.asarray(positions[rows], dtype=np.float64).T
         out = moved[rows]
         out[:, 0] = a * p + b * q + c * r + x
@@ -351,15 +351,15 @@ def skinned(
     return moved, turned, 2 * mirrored > len(positions)
 
 
-def _blended(skin: Skin, worlds: Mapping[int, Float]) -> Iterable[tuple[slice, Float]]:
+def _blended(skin: Skin, world_matrices: Mapping[int, Float]) -> Iterable[tuple[slice, Float]]:
     """Yield slices of the vertices with the first three rows of their blended matrices, (12, n)."""
-    matrices = np.stack([worlds[joint] for joint in skin.joints])
+    matrices = np.stack([world_matrices[joint] for joint in skin.joints])
     matrices = matrices if skin.inverse is None else matrices @ skin.inverse
     matrices = np.ascontiguousarray(matrices[:, :3].reshape(-1, 12).T)
-    for start in range(0, skin.indices.shape[1], _AT_ONCE):
-        rows = slice(start, start + _AT_ONCE)
+    for start in range(0, skin.indices.shape[1], _BLOCK):
+        rows = slice(start, start + _BLOCK)
         blend = np.zeros((12, skin.indices[0, rows].size))
-        for joints, fractions in zip(skin.indices[:, rows], skin.fractions[:, rows], strict=True):
-            if fractions.any():
-                blend += matrices.take(joints, axis=1) * fractions
+        for joints, weights in zip(skin.indices[:, rows], skin.weights[:, rows], strict=True):
+            if weights.any():
+                blend += matrices.take(joints, axis=1) * weights
         yield rows, blend

@@ -1,24 +1,64 @@
-"""Simplified meshes, whose edges collapse by quadric errors."""
+"""Simplified meshes, whose edges collapse by quadric errors. The functions of meshoptimizer
+(Kapoulkine, 2016-2026), from the extra ``lod``, are called through ctypes."""
 
 from __future__ import annotations
 
+import ctypes
 import math
 from dataclasses import replace
+from functools import cache
+from importlib.machinery import PathFinder
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, warn
+from facerender.errors import InputError, warn
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import TRIANGLES, Mesh, moved
 from facerender.mesh.part import Float, Part
 from facerender.mesh.repair import VERTEX_ARRAYS, double_areas
-from facerender.system import meshoptimizer
 
 # Weights of errors in normal, texture coordinates (scaled to lengths on the surface in mesh radii),
 # linear colour and occlusion, and second texture coordinates. Errors in position, in extents of the
 # mesh, have weight 1. Comparisons of images, as in docs/measurements/levels.md, determined these.
 _WEIGHTS = [1.0] * 3 + [20.0] * 2 + [1.0] * 4 + [20.0] * 2
+
+_POINTER, _SIZE, _FLOAT = ctypes.c_void_p, ctypes.c_size_t, ctypes.c_float
+_DECODER = ctypes.c_int, [_POINTER, _SIZE, _SIZE, _POINTER, _SIZE]
+_FILTER = None, [_POINTER, _SIZE, _SIZE]
+# Types of result and arguments of each function, as in src/meshoptimizer.h of version 0.23.
+_TYPES: dict[str, tuple[Any, list[Any]]] = {
+    "simplifyWithAttributes": (
+        _SIZE,
+        [_POINTER, _POINTER, _SIZE, _POINTER, _SIZE, _SIZE, _POINTER, _SIZE, _POINTER, _SIZE]
+        + [_POINTER, _SIZE, _FLOAT, ctypes.c_uint, _POINTER],
+    ),
+    "optimizeVertexCache": (None, [_POINTER, _POINTER, _SIZE, _SIZE]),
+    **dict.fromkeys(("decodeVertexBuffer", "decodeIndexBuffer", "decodeIndexSequence"), _DECODER),
+    **dict.fromkeys(("decodeFilterOct", "decodeFilterQuat", "decodeFilterExp"), _FILTER),
+}
+_LEVELS = "levels of detail need the package meshoptimizer; pip install 'facerender[lod]'"
+
+
+@cache
+def library(missing: str = _LEVELS) -> ctypes.CDLL:
+    """Return the compiled library of the Python package meshoptimizer, with declared types. Raise
+    InputError with the text ``missing`` if the package is not installed.
+
+    The package's wrappers are not imported: they declare no types for simplify_with_attributes and
+    the filters, pass 64-bit sizes as 32-bit integers, and therefore crash."""
+    package = find_spec("meshoptimizer")
+    folders = package.submodule_search_locations if package else None
+    spec = PathFinder.find_spec("_meshoptimizer", folders) if folders else None
+    if spec is None or spec.origin is None:
+        raise InputError(missing)
+    functions = ctypes.CDLL(spec.origin)
+    for name, (result, arguments) in _TYPES.items():
+        function = getattr(functions, f"meshopt_{name}")
+        function.restype, function.argtypes = result, arguments
+    return functions
 
 
 def simplified(mesh: Mesh, triangles: int) -> Mesh:
@@ -37,17 +77,9 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     Parameters
     ----------
     mesh : from :func:`facerender.load_mesh`
-    triangles : triangle limit of the whole mesh, at least 1; a smaller mesh is returned unchanged
-
-    Raises
-    ------
-    InputError : triangles is below 1, or the package meshoptimizer is not installed
-
-    Warns
-    -----
-    FacerenderWarning : the mesh still has more triangles than the limit, because of seams or parts
+    triangles : triangle limit of the whole mesh, at least 1; a smaller mesh is returned unchanged.
+        Seams and parts may prevent the limit from being reached, with a FacerenderWarning
     """
-    check_type("mesh", mesh, Mesh, "a facerender.Mesh")
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
@@ -70,34 +102,38 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
 def _simplify(mesh: Geometry, triangles: int) -> tuple[Geometry, list[NDArray[np.int64]]]:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
     different parts are comparable. Also return the indices of each part's remaining vertices."""
-    try:
-        meshoptimizer.library()
-    except ImportError:
-        need = "levels of detail need the package meshoptimizer"
-        raise InputError(f"{need}; pip install 'facerender[lod]'") from None
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
-    faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
-    rows = np.concatenate([_vertices(mesh, number) for number in range(len(mesh.parts))])
+    parts_faces = [part.faces + start for part, start in zip(mesh.parts, starts, strict=False)]
+    rows = np.concatenate([_vertices(mesh, index) for index in range(len(mesh.parts))])
     # In some files, triangles do not share vertices, so equal vertices are merged.
     rows, first_indices, numbers = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-    corners = numbers.reshape(-1)[np.concatenate(faces)]
+    corners = numbers.reshape(-1)[np.concatenate(parts_faces)]
     attributes = rows.astype(np.float32)
     weights = np.array(_WEIGHTS[: rows.shape[1] - 4], dtype=np.float32)
-    collapsed = meshoptimizer.collapsed(
-        corners.astype(np.uint32), attributes[:, 1:4], attributes[:, 4:], weights, triangles
+    faces, remaining_faces = corners.astype(np.uint32), np.empty(corners.shape, dtype=np.uint32)
+    positions, others = (np.ascontiguousarray(a) for a in (attributes[:, 1:4], attributes[:, 4:]))
+    count = library().meshopt_simplifyWithAttributes(
+        *(remaining_faces.ctypes.data, faces.ctypes.data, faces.size),
+        *(positions.ctypes.data, len(positions), positions.strides[0]),
+        *(others.ctypes.data, others.strides[0], weights.ctypes.data, len(weights)),
+        *(None, 3 * triangles, np.finfo(np.float32).max, 0, None),  # no locked vertices, no options
     )
+    collapsed = remaining_faces[: count // 3]
     parts, remaining = [], []
-    for number, part in enumerate(mesh.parts):
-        chosen = collapsed[rows[collapsed[:, 0], 0] == number]
-        if not len(chosen):
-            all_faces = corners[rows[corners[:, 0], 0] == number]
-            chosen = all_faces[[np.argmax(double_areas(rows[all_faces, 1:4]))]]
-        vertices, inverse = np.unique(chosen, return_inverse=True)
-        kept = first_indices[vertices] - starts[number]
+    for index, part in enumerate(mesh.parts):
+        part_faces = collapsed[rows[collapsed[:, 0], 0] == index]
+        if not len(part_faces):
+            all_faces = corners[rows[corners[:, 0], 0] == index]
+            part_faces = all_faces[[np.argmax(double_areas(rows[all_faces, 1:4]))]]
+        vertices, inverse = np.unique(part_faces, return_inverse=True)
+        kept = first_indices[vertices] - starts[index]
         columns = ((name, getattr(part, name)) for name in (*VERTEX_ARRAYS, "occlusion"))
         arrays = {name: values[kept] for name, values in columns if values is not None}
-        corners_of_part = inverse.reshape(chosen.shape).astype(np.uint32)
-        ordered = meshoptimizer.in_cache_order(corners_of_part, len(vertices))
+        corners_of_part = inverse.reshape(part_faces.shape).astype(np.uint32)
+        ordered = np.empty_like(corners_of_part)  # for the vertex cache (Sander et al. 2007)
+        library().meshopt_optimizeVertexCache(
+            ordered.ctypes.data, corners_of_part.ctypes.data, ordered.size, len(vertices)
+        )
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
         remaining.append(kept)
     return replace(mesh, parts=tuple(parts), known_framing=mesh.framing), remaining

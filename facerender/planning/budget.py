@@ -16,7 +16,7 @@ from facerender.comparison import pictures
 from facerender.comparison.windows import FLOOR
 from facerender.errors import InputError
 from facerender.images.image import linear_to_srgb
-from facerender.values.ranges import EXPOSURES
+from facerender.values.fields import EXPOSURES
 
 Unit = Literal["display", "relative", "flip"]
 Float = NDArray[np.float64]
@@ -34,22 +34,15 @@ _GIVEN = re.compile(
 
 @dataclass(frozen=True)
 class Budget:
-    """An error limit for all pixels, or for a fraction of the pixels.
+    """An error limit for all pixels, or for a fraction of the pixels."""
 
-    Attributes
-    ----------
-    limit : largest error, >= 0, expressed in ``unit``
-    unit : "display": fraction of the range from black to white in sRGB encoding, before rounding
-        to 8-bit levels. "relative": fraction of the reference's linear radiance (at least 0.01).
-        "flip": FLIP (Andersson et al. 2020) of the displayed image
-    exposure : exposure of the displayed image, in stops
-    within : fraction of each image's covered pixels that must meet the limit, in (0, 1]
-    """
-
-    limit: float
+    limit: float  # largest error, >= 0, expressed in ``unit``
+    # "display": fraction of the range from black to white in sRGB encoding, before rounding to
+    # 8-bit levels. "relative": fraction of the reference's linear radiance (at least 0.01). "flip":
+    # FLIP (Andersson et al. 2020) of the displayed image.
     unit: Unit = "display"
-    exposure: float = 0.0
-    within: float = 1.0
+    exposure: float = 0.0  # of the displayed image, in stops
+    within: float = 1.0  # fraction of each image's covered pixels that must meet it, in (0, 1]
 
     @classmethod
     def parse(cls, given: str | float, exposure: float = 0.0, within: str | float = 1.0) -> Budget:
@@ -59,10 +52,6 @@ class Budget:
         ----------
         given : "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range
         within : fraction of the pixels, such as "99.9%" or 0.999
-
-        Raises
-        ------
-        InputError : unknown unit, negative or infinite budget, or invalid fraction of the pixels
         """
         number = str(within).strip()
         try:
@@ -93,15 +82,14 @@ class Budget:
         return cls(limit, "flip" if match[4] else "display", exposure, fraction)
 
     def errors(self, image: Float, reference: Float) -> Float:
-        """Return the error of each pixel, (H, W), in its worst channel; the images are linear.
-        Raise InputError if the package for FLIP is missing."""
+        """Return the error of each pixel, (H, W), in its worst channel; the images are linear."""
         if self.unit == "relative":
             relative = np.abs(image - reference) / np.maximum(reference, FLOOR)
             return np.asarray(relative.max(axis=-1))
-        shown, expected = self._displayed(image), self._displayed(reference)
+        displayed, expected = (linear_to_srgb(x * 2.0**self.exposure) for x in (image, reference))
         if self.unit == "display":
-            return np.asarray(np.abs(shown - expected).max(axis=-1))
-        return pictures.flip_errors(expected, shown)
+            return np.asarray(np.abs(displayed - expected).max(axis=-1))
+        return pictures.flip_errors(expected, displayed)
 
     def spared(self, covered: int) -> int:
         """Return the number of an image's covered pixels that may exceed the limit."""
@@ -119,9 +107,6 @@ class Budget:
         scale, form = _TEXTS[self.unit]
         value = scale * error
         return form.format("<0.001" if 0.0 < value < 0.001 else f"{value:.3g}")
-
-    def _displayed(self, linear: Float) -> Float:
-        return linear_to_srgb(linear * 2.0**self.exposure)
 
 
 def highest_but(errors: Float, spared: int) -> float:

@@ -24,6 +24,7 @@ from facerender.scene.scene import Scene
 from facerender.scene.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
 from facerender.terms.lobe import G_POWERS, fit_g_power
+from facerender.values.fields import parameters
 
 # From this slope m on, float32 needs no FR_SMALL_SLOPE: the error without it, 3e-7/m² of the lobe's
 # peak, is invisible.
@@ -78,17 +79,15 @@ def candidates(
 ) -> Iterator[Shading]:
     """Yield every shading that may replace the full shading, and the full shading itself.
 
-    Parameters
-    ----------
     full : the shading that counts as exact; it has the exact lobe
     fits : function that returns whether a shading with one change is within the budget. It is
         called for each change, except changes of highlights, lobes, Fresnel and masking terms.
         Only changes that fit are combined with other changes, which limits their number
     """
     lit = [light for light in constants.faintest if full.shines(light)]
-    kinds = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
+    choices = [full.specular_lights, *(tuple(sorted(lit[n:])) for n in range(1, len(lit) + 1))]
     for surface in _surfaces(scene, full, constants, fits):
-        for shading, lights in product(_terms(scene, surface), kinds):
+        for shading, lights in product(_terms(scene, surface), choices):
             if lights == () and shading != surface:
                 continue
             yield replace(shading, specular_lights=lights)
@@ -130,7 +129,7 @@ def _surfaces(
     }
     for (two_lobes, m), *combination in product(slopes, *choices.values()):
         attributes = dict(zip(choices, combination, strict=True))
-        yield replace(full, term=replace(full.term, m=m), two_lobes=two_lobes, **attributes)
+        yield replace(full, m=m, two_lobes=two_lobes, **attributes)
 
 
 def shadowed(scene: Scene, shading: Shading) -> list[int]:
@@ -141,34 +140,23 @@ def shadowed(scene: Scene, shading: Shading) -> list[int]:
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
     ranges = resolve(scene, full).appearance.slopes
-    smallest, largest = min(low for low, _ in ranges), max(high for _, high in ranges)
-    family = full.term.entry.family
-    for model in [model for model in MODELS.values() if model.family == family]:
-        for lobe in _lobes(model.k, smallest, largest):
-            for term in _factors(Term(model.name, lobe, m=full.term.m), full.term):
-                yield replace(full, term=term)
-                if lobe == "exact" and SMALLEST_PLAIN_SLOPE <= smallest < SMALL_SLOPE:
-                    yield replace(full, term=replace(term, small_slope=False))
-
-
-def _lobes(k: int, smallest: float, largest: float) -> list[AnyLobe]:
-    slopes = (smallest, largest)
-    first_name, *other_names = [
-        name for name, lobe in LOBES.items() if lobe.belongs(slopes, k).all()
-    ]
-    fits = [fit_g_power(k, g, *slopes) for g in G_POWERS]
-    # Of lobes with equal costs, the search takes the first: the exact lobe, or a fitted g-power.
-    return [first_name, *(lobe for lobe in fits if lobe is not None), *other_names]
-
-
-def _factors(term: Term, full: Term) -> Iterator[Term]:
-    if not term.entry.factors:
-        yield term
-        return
-    exactness = FRESNEL[full.fresnel].exactness
+    slopes = min(low for low, _ in ranges), max(high for _, high in ranges)
+    exactness = FRESNEL[full.term.fresnel].exactness
     allowed = [name for name, fresnel in FRESNEL.items() if fresnel.exactness <= exactness]
-    for fresnel, masking in product(allowed, MASKING):
-        yield replace(term, fresnel=fresnel, masking=masking)
+    for model in MODELS.values():
+        if model.family != full.term.entry.family:
+            continue
+        names = [name for name, lobe in LOBES.items() if lobe.belongs(slopes, model.k).all()]
+        fits = [fit_g_power(model.k, g, *slopes) for g in G_POWERS]
+        # Of lobes with equal costs, the first is taken: the exact lobe, or a fitted g-power.
+        lobes: list[AnyLobe] = [names[0], *filter(None, fits), *names[1:]]
+        for lobe in lobes:
+            factors = product(allowed, MASKING) if model.factors else [(Term.fresnel, Term.masking)]
+            for fresnel, masking in factors:
+                term = Term(model.name, lobe, fresnel, masking, full.m)
+                yield (shading := replace(full, **parameters(term)))
+                if lobe == "exact" and SMALLEST_PLAIN_SLOPE <= slopes[0] < SMALL_SLOPE:
+                    yield replace(shading, small_slope=False)
 
 
 def changed(shading: Shading, full: Shading) -> list[str]:
@@ -194,9 +182,7 @@ def values(shading: Shading, names: Sequence[str]) -> dict[str, Any]:
 def with_decisions(shading: Shading, other: Shading, names: Sequence[str]) -> Shading:
     """Return a shading whose named decisions are replaced by the decisions of ``other``."""
     decided = values(other, names)
-    of_term = {path[5:]: decided.pop(path) for path in [*decided] if path.startswith("term.")}
-    term = replace(shading.term, **of_term)
-    return replace(shading, term=term, **decided)
+    return replace(shading, **{path.removeprefix("term."): v for path, v in decided.items()})
 
 
 def separable(shading: Shading, names: Sequence[str]) -> bool:
@@ -215,7 +201,7 @@ def alone(shading: Shading, full: Shading, names: Sequence[str]) -> Shading:
 Float = NDArray[np.float64]
 
 _FEWEST = 500  # smallest number of triangles of a level of detail
-_MOST_SCATTERED = 8  # largest number of scattering images that a viewpoint caches
+_MAX_SCATTERED = 8  # largest number of scattering images that a viewpoint caches
 
 
 @dataclass(frozen=True, eq=False)
@@ -236,7 +222,7 @@ def scattered_light(viewpoint: Viewpoint) -> Callable[[Shading], Float]:
     """Return a function that draws the change of each pixel's radiance that scattering causes, (H,
     W, 3). Scattered light depends on other pixels; float64 would take seconds to compute it."""
 
-    @lru_cache(_MOST_SCATTERED)
+    @lru_cache(_MAX_SCATTERED)
     def change(light: Shading) -> Float:
         render, scene = viewpoint.renderer.render, viewpoint.scene
         scattered, local = (
@@ -282,19 +268,17 @@ class DrawnViews:
             self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
         self._first(replace(self.detail, samples=count) for count in reversed(samples))
-        if all(map(self._saves_shading, self.viewpoints)):
+        views = [(view.scene, view.renderer, self.detail.samples) for view in self.viewpoints]
+        if all(
+            deferred_is_cheaper(scene.mesh.parts, drawer.size, count, drawer.context.renderer)
+            and drawer.can_shade_per_pixel(scene, count)
+            for scene, drawer, count in views
+        ):
             self._first([replace(self.detail, shading_rate="pixel")])
         count = self.triangles // 2
         with suppress(InputError):  # the package for levels of detail may be missing
             while count >= _FEWEST and self._first([replace(self.detail, triangles=count)]):
                 count //= 2
-
-    def _saves_shading(self, viewpoint: Viewpoint) -> bool:
-        """Return whether per-pixel shading is possible, and cheaper according to measurements."""
-        scene, renderer, samples = viewpoint.scene, viewpoint.renderer, self.detail.samples
-        driver = renderer.context.renderer
-        cheaper = deferred_is_cheaper(scene.mesh.parts, renderer.size, samples, driver)
-        return cheaper and renderer.can_shade_per_pixel(scene, samples)
 
     def _first(self, details: Iterable[LevelOfDetail]) -> bool:
         for detail in details:

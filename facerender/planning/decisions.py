@@ -8,18 +8,8 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any
 
-from facerender.planning.candidates import (
-    DECISIONS,
-    SINGLE,
-    DrawnViews,
-    alone,
-    changed,
-    groups,
-    separable,
-    shadowed,
-    values,
-    with_decisions,
-)
+from facerender.planning import candidates
+from facerender.planning.candidates import DECISIONS, SINGLE, DrawnViews, values, with_decisions
 from facerender.planning.search import Choice
 from facerender.scene.light import LIGHTS, Light
 from facerender.scene.scene import Scene
@@ -33,29 +23,19 @@ _OF_THE_WHOLE = ("normal map", "ambient", "diffuse", "shadows", "scattering")
 
 @dataclass(frozen=True)
 class Decision:
-    """A decision of a plan about one attribute.
+    """A decision of a plan about one attribute."""
 
-    Attributes
-    ----------
-    name : name of the decision, such as "Fresnel"
-    changed : whether the plan differs from the full shading in this attribute
-    chosen : the chosen value, as text
-    other : the full shading's value; without a change, the cheaper value with the smallest error
-    error : error of this change alone; without a change, error of the plan's frame with ``other``.
-        The larger of two errors: of the drawn frame, and of the terms in float64 at pixel centres
-    saving : fraction of the full shading's cost that the change saves, or that ``other`` would save
-    text : line of :meth:`Plan.explain`
-    values : the cheaper of chosen and other value, keyed by attribute of the shading, such as
-        "term.lobe"; empty if the decision is not about the shading
-    """
-
-    name: str
-    changed: bool
-    chosen: str
-    other: str
+    name: str  # such as "Fresnel"
+    changed: bool  # whether the plan differs from the full shading in this attribute
+    chosen: str  # the chosen value, as text
+    other: str  # the full value; without a change, the cheaper value with the smallest error
+    # Error of this change alone; without a change, error of the plan's frame with ``other``. The
+    # larger of two errors: of the drawn frame, and of the terms in float64 at pixel centres.
     error: float
-    saving: float
-    text: str
+    saving: float  # fraction of the full cost that the change saves, or that ``other`` would save
+    text: str  # line of :meth:`Plan.explain`
+    # The cheaper of chosen and other value, keyed by attribute of the shading, such as "term.lobe";
+    # empty if the decision is not about the shading.
     values: dict[str, Any] = field(default_factory=dict)
 
 
@@ -64,13 +44,11 @@ def decisions(
 ) -> Iterator[Decision]:
     """Yield each decision of a shading.
 
-    Parameters
-    ----------
     error, otherwise : functions that return the error of a shading, at the level of detail of the
         full frame and of the plan
     bound : function that returns a lower bound of a shading's error
     """
-    changes = groups(shading, choice.full)
+    changes = candidates.groups(shading, choice.full)
     for name in DECISIONS:
         if name in changes:
             yield _changed(choice, shading, name, changes[name], error)
@@ -80,7 +58,7 @@ def decisions(
             yield unchanged
 
 
-def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
+def details(choice: Choice, views: DrawnViews) -> Iterator[Decision]:
     """Yield the decisions on back faces, samples, shading rate and triangles."""
     if choice.frames is None:
         return
@@ -88,35 +66,35 @@ def details(choice: Choice, drawn: DrawnViews) -> Iterator[Decision]:
     for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
         saved = (step_times[previous] - step_times[name]) / step_times["full"]
         previous = name
-        planned, full_value = (getattr(detail, name) for detail in (drawn.detail, drawn.finest))
+        planned, full_value = (getattr(detail, name) for detail in (views.detail, views.finest))
         if planned != full_value:
-            alone_ = replace(drawn.finest, **{name: planned})
+            alone_ = replace(views.finest, **{name: planned})
             if name == "shading_rate":  # the error of "pixel" depends on the samples
-                alone_ = replace(alone_, samples=drawn.detail.samples)
-            added = drawn.error(choice.full, alone_)
-            chosen, other = (_detail(name, value, drawn) for value in (planned, full_value))
+                alone_ = replace(alone_, samples=views.detail.samples)
+            added = views.error(choice.full, alone_)
+            chosen, other = (_detail(name, value, views) for value in (planned, full_value))
             text = f"{chosen} instead of {other}: error {choice.budget.text(added)} on its own, "
             text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
             yield Decision(name, True, chosen, other, added, saved, text)
             continue
-        tried = ((getattr(detail, name), error) for detail, error in drawn.tried)
+        tried = ((getattr(detail, name), error) for detail, error in views.tried)
         for value, error in islice((pair for pair in tried if pair[0] != planned), 1):
-            chosen, other = (_detail(name, detail, drawn) for detail in (planned, value))
+            chosen, other = (_detail(name, detail, views) for detail in (planned, value))
             text = f"{chosen}: {other} would cause an error of {choice.budget.text(error)}"
             yield Decision(name, False, chosen, other, error, 0.0, text)
 
 
-def _detail(name: str, value: int | str | None, drawn: DrawnViews) -> str:
+def _detail(name: str, value: int | str | None, views: DrawnViews) -> str:
     if name == "cull_back_faces":
         return "culled" if value else "drawn"
-    return str(value or drawn.triangles)
+    return str(value or views.triangles)
 
 
 def _changed(
     choice: Choice, shading: Shading, name: str, names: Sequence[str], error: ErrorOf
 ) -> Decision:
     chosen, other = (_words(choice.scene, variant, names) for variant in (shading, choice.full))
-    added = error(alone(shading, choice.full, names))
+    added = error(candidates.alone(shading, choice.full, names))
     saved = choice.saved(shading, with_decisions(shading, choice.full, names))
     instead = f" instead of {other}" if other != "none" else ""
     text = f"{chosen}{instead}: error {choice.budget.text(added)} on its own, "
@@ -132,12 +110,12 @@ def _unchanged(
     refused = (
         with_decisions(shading, variant, names)
         for variant in choice.refused
-        if name in changed(variant, choice.full) and separable(shading, names)
+        if name in candidates.changed(variant, choice.full) and candidates.separable(shading, names)
     )
     alternatives = [
         alternative
-        for alternative in (*choice.ordered, *filter(choice.is_priced, refused))
-        if name in (differs := changed(alternative, shading))
+        for alternative in (*choice.ordered, *refused)
+        if name in (differs := candidates.changed(alternative, shading))
         and set(differs) <= set(names)
         and choice.total(alternative) < cost
     ]
@@ -176,7 +154,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
     light_names = {_plain(light): name for name, light in LIGHTS.items()}
     lights = [light_names.get(_plain(light), f"light {i}") for i, light in enumerate(scene.lights)]
     lit = [name for i, name in enumerate(lights) if shading.shines(i)]
-    dark = [lights[i] for i in shadowed(scene, shading)]
+    dark = [lights[i] for i in candidates.shadowed(scene, shading)]
     words = {
         "two lobes": "two" if shading.two_lobes else "one",
         "lights": f"specular of {', '.join(lit) or 'none'}",
@@ -194,7 +172,7 @@ def _words(scene: Scene, shading: Shading, names: Sequence[str]) -> str:
         "masking": f"masking {term.masking}",
         "small slopes": "small slopes " + ("plain" if term.small_slope is False else "exact"),
     }
-    shown = names if term.entry.factors or "model" not in names else names[:2]
     if len(names) == 1:
         return words[names[0]].removeprefix(names[0]).strip()
-    return ", ".join(words[name] for name in shown if name != "small slopes")
+    stated = names if term.entry.factors or "model" not in names else names[:2]
+    return ", ".join(words[name] for name in stated if name != "small slopes")

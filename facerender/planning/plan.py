@@ -1,8 +1,5 @@
-"""Find a cheaper frame of a scene within an error budget: samples, triangles and shading.
-
-Other modules list the shadings and draw views (``candidates.py``), choose one and time frames
-(``search.py``), and price fragments (``pricing/table.py``). A disk cache of plans is keyed by a
-digest of scene, budget, full shading, renderer and prices."""
+"""The plan of a scene, and its disk cache, which is keyed by a digest of scene, budget, full
+shading, renderer and prices."""
 
 from __future__ import annotations
 
@@ -20,33 +17,26 @@ from numpy.typing import NDArray
 from facerender import __version__
 from facerender.drawing.prepare import resolve
 from facerender.drawing.renderer import Renderer
-from facerender.errors import InputError, check_type, each_of
+from facerender.errors import InputError, number_of
 from facerender.glsl.library import Language, Target, call, term_source
 from facerender.images.files import save_png
 from facerender.mesh.mesh import drawn_alpha
+from facerender.planning import search
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.planning.decisions import Decision, decisions, details
-from facerender.planning.search import (
-    Choice,
-    Cost,
-    Region,
-    Witnesses,
-    constants_of,
-    measured_frames,
-    relative_time,
-    saves,
-)
+from facerender.planning.search import Choice, Cost, ReferencePixels, Witnesses
 from facerender.pricing.table import FRAME, TABLE
-from facerender.scene.camera import Camera, cameras_of, orbiting
+from facerender.scene.camera import Camera, orbiting
 from facerender.scene.detail import LevelOfDetail, Planned
-from facerender.scene.file import scene_toml
+from facerender.scene.job import scene_toml
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
 from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 from facerender.system.process import Progress, no_progress
 from facerender.texture.texture import Texture
+from facerender.values.fields import Several
 
 # Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
 # the colour of errors beyond the budget.
@@ -57,44 +47,29 @@ _OVER = (0, 255, 120)
 
 @dataclass(frozen=True)
 class Error:
-    """The error of a shading compared with the full shading.
+    """The error of a shading compared with the full shading."""
 
-    Attributes
-    ----------
-    maximum : the largest error of a pixel, computed in float64
-    within : error that the budget's fraction of the pixels does not exceed, in the worst image;
-        equal to ``maximum`` if the fraction is 1
-    percentile : error that one covered pixel in 1000 exceeds
-    camera : index of the camera with the largest error
-    size : width and height of the image with the largest error
-    pixel : x and y of the pixel with the largest error
-    drawn, drawn_within : ``maximum`` and ``within`` of the rendered images, with the plan's samples
-        and triangles, and with blended and refracting parts, which the other errors leave out. None
-        if only fragments are priced, a pixel has one sample and the mesh has no such parts
-    """
-
-    maximum: float
+    maximum: float  # of a pixel, computed in float64
+    # Error that the budget's fraction of the pixels does not exceed, in the worst image; equal to
+    # ``maximum`` if the fraction is 1.
     within: float
-    percentile: float
-    camera: int
-    size: tuple[int, int]
-    pixel: tuple[int, int]
+    percentile: float  # error that one covered pixel in 1000 exceeds
+    camera: int  # index of the camera with the largest error
+    size: tuple[int, int]  # width and height of the image with the largest error
+    pixel: tuple[int, int]  # x and y of the pixel with the largest error
+    # ``maximum`` and ``within`` of the rendered images, with the plan's samples and triangles, and
+    # with blended and refracting parts, which the other errors leave out. None if only fragments
+    # are priced, a pixel has one sample and the mesh has no such parts.
     drawn: float | None = None
     drawn_within: float | None = None
 
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """The error at a camera for which a plan does not hold, as an example.
+    """The error at a camera for which a plan does not hold, as an example."""
 
-    Attributes
-    ----------
-    camera : the first camera of the plan, turned by up to 45 degrees around the frame's centre
-    maximum, within : as in :class:`Error`, of the drawn image
-    """
-
-    camera: Camera
-    maximum: float
+    camera: Camera  # the plan's first camera, turned by up to 45 degrees around the frame's centre
+    maximum: float  # as in :class:`Error`, of the drawn image
     within: float
 
 
@@ -159,9 +134,13 @@ class Plan:
         given_up = self.cost.measured is not None and not self.cost.saves
         exact = self.shading == self.full and not given_up
         fits = "fits" if self.cost.measured is None else "fits and shortens the frame"
+        sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
+        stops = self.budget.exposure
+        exposure = f", exposure {stops:+g} stops" if stops else ""
+        basis = f"{number_of(len(self.cameras), 'camera')}, {sizes} pixels{exposure}"
         return {
             "budget": f"{self.budget.text(limit)}{fraction}, {reserve}",
-            "basis": self._basis(),
+            "basis": f"{basis}; no guarantee for other cameras, sizes and poses",
             **({"elsewhere": self._elsewhere(self.elsewhere)} if self.elsewhere else {}),
             **({d.name: d.text for d in self.decisions} if limit > rounding else {}),
             **({"shading": f"exact: nothing cheaper {fits}"} if exact else {}),
@@ -174,10 +153,6 @@ class Plan:
 
         Comments in the file contain the plan and the function call for each light. ``target`` is as
         in :func:`facerender.shader_source`.
-
-        Raises
-        ------
-        InputError : an unknown target
         """
         resolved = resolve(self.scene, self.shading)
         smallest = min(low for low, _ in resolved.appearance.slopes)
@@ -211,7 +186,7 @@ class Plan:
 
     def as_dict(self) -> dict[str, Any]:
         """Return all values of the plan, for JSON."""
-        facts: dict[str, Any] = {
+        values: dict[str, Any] = {
             "text": self.explain(),
             "shading": self.shading.as_dict(),
             "budget": asdict(self.budget),
@@ -228,17 +203,13 @@ class Plan:
             "candidates": self.candidates,
             "tried": self.tried,
         }
-        return {key: _finite(value) for key, value in facts.items()}
+        return {key: _finite(value) for key, value in values.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
         """Write a PNG with the error of each pixel of the image with the largest error.
 
         Colours range from black (no error) over blue, red and yellow to white (error equal to the
         budget). Larger errors are green.
-
-        Raises
-        ------
-        InputError : the suffix is not .png, or the file cannot be written
         """
         if os.path.splitext(path)[1].lower() != ".png":
             raise InputError(f"{path}: an error map is a PNG file: give a name that ends in .png")
@@ -252,12 +223,6 @@ class Plan:
     def _is_full(self) -> bool:
         finest = self.detail is None or self.detail == LevelOfDetail(self.samples, None)
         return self.shading == self.full and finest
-
-    def _basis(self) -> str:
-        sizes = ", ".join(f"{width} x {height}" for width, height in self.sizes)
-        count = f"{len(self.cameras)} cameras" if len(self.cameras) > 1 else "1 camera"
-        shown = f", exposure {self.budget.exposure:+g} stops" if self.budget.exposure else ""
-        return f"{count}, {sizes} pixels{shown}; no guarantee for other cameras, sizes and poses"
 
     def _elsewhere(self, elsewhere: Elsewhere) -> str:
         text, fraction = self.budget.text, self.budget.fraction
@@ -279,11 +244,11 @@ class Plan:
         pixels = "all pixels" if every else f"{fraction} of the pixels"
         parts = [f"budget {verdict}: {pixels} within {text(largest)}"]
         if self.shading != self.full:
-            place = "at pixel ({}, {})".format(*error.pixel)
-            place += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
-            place += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
+            pixel = "at pixel ({}, {})".format(*error.pixel)
+            pixel += f" of camera {error.camera}" if len(self.cameras) > 1 else ""
+            pixel += " of {} x {}".format(*error.size) if len(self.sizes) > 1 else ""
             share, quantile = ("99.9 %", error.percentile) if every else (fraction, error.within)
-            exact = f"up to {text(error.maximum)}, {place}; {share} within {text(quantile)}"
+            exact = f"up to {text(error.maximum)}, {pixel}; {share} within {text(quantile)}"
             parts.append(f"at pixel centres {exact if error.maximum else '0, except for rounding'}")
         if error.drawn is not None:
             parts.append(f"as rendered up to {text(error.drawn)}")
@@ -341,42 +306,30 @@ def plan(
         lobe, or a missing package for FLIP
     ContextError : no OpenGL context
     """
-    check_type("scene", scene, Scene, "a facerender.Scene")
-    check_type("budget", budget, str | float | int, 'an error with its unit, such as "1/255"')
-    check_type("full", full, Shading, "a facerender.Shading")
-    check_type("cost", cost, str, f'the source of prices, such as "{FRAME}"')
-    check_type("renderer", renderer, Renderer | None, "a facerender.Renderer")
     allowed = Budget.parse(budget, exposure, within)
-    measured_cameras = (scene.camera,) if cameras is None else cameras_of(cameras)
+    measured_cameras = (
+        (scene.camera,) if cameras is None else Several(Camera).check("cameras", cameras)
+    )
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if not scene.lights and scene.environment is None:
         raise InputError("the scene has no lights, so there is no shading to plan: add a light")
-    full = replace(full, term=replace(full.term, small_slope=None))
-    with ExitStack() as stack:
-        renderers = _renderers(renderer, sizes, stack)
+    full = replace(full, small_slope=None)
+    with ExitStack() as stack:  # closes the new renderers, one per size with the same options
+        base = renderer or stack.enter_context(Renderer())
+        options: dict[str, Any] = {
+            "samples": base.samples,
+            "backend": base.context.backend,
+            "anisotropy": base.anisotropy,
+            "float_albedo": base.albedo_kind == "linear-color",
+            "full_maps": base.full_maps,
+            "memory": base.memory,
+        }
+        renderers = [
+            base if size == base.size else stack.enter_context(Renderer(size, **options))
+            for size in (sizes or [base.size])
+        ]
         return _planned(scene, allowed, full, measured_cameras, cost, renderers, progress)
-
-
-def _renderers(
-    renderer: Renderer | None, sizes: Sequence[tuple[int, int]] | None, stack: ExitStack
-) -> list[Renderer]:
-    """Return one renderer per size, all with the same options; ``stack`` closes new renderers."""
-    if sizes is not None:
-        sizes = each_of("sizes", sizes, tuple | list, "widths and heights, such as [(512, 512)]")
-    base = renderer or stack.enter_context(Renderer())
-    options: dict[str, Any] = {
-        "samples": base.samples,
-        "backend": base.context.backend,
-        "anisotropy": base.anisotropy,
-        "float_albedo": base.albedo_kind == "linear-color",
-        "full_maps": base.full_maps,
-        "memory": base.memory,
-    }
-    return [
-        base if size == base.size else stack.enter_context(Renderer(size, **options))
-        for size in (sizes or [base.size])
-    ]
 
 
 def _planned(
@@ -397,46 +350,51 @@ def _planned(
     views = []
     for number, viewpoint in enumerate(viewpoints):
         progress("views", number / len(viewpoints))
-        views.append(Region.of_viewpoint(viewpoint, full, budget))
+        views.append(ReferencePixels.of_viewpoint(viewpoint, full, budget))
     if not any(view.counted.any() for view in views):
         raise InputError(f"the cameras see nothing of {scene.mesh.name}: give other cameras")
-    constants = constants_of(scene, full, views)
+    constants = search.constants_of(scene, full, views)
     progress("prices", 0.0)
     software = renderers[0].context.software
     choice = Choice(scene, full, budget, constants, cost, software, views)
-    samples, drawn = renderers[0].samples, None
+    samples, rendered = renderers[0].samples, None
     pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
     layered = any(
         material.refracts or drawn_alpha(part, material) == "blend" for part, material in pairs
     )
     if samples > 1 or layered or cost == FRAME:
-        drawn = DrawnViews(viewpoints, full, budget)
-    framed = drawn if cost == FRAME else None  # set if the level of detail is chosen too
+        rendered = DrawnViews(viewpoints, full, budget)
+    framed = rendered if cost == FRAME else None  # set if the level of detail is chosen too
     if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
         framed.coarsen()
-    witnesses = Witnesses(views, choice, drawn)
+    witnesses = Witnesses(views, choice, rendered)
     shading = choice.first(witnesses.accepts, progress)
     measured = None
     if framed:
         progress("frames", 0.0)
-        choice.frames = measured_frames(choice, framed)
+        choice.frames = search.measured_frames(choice, framed)
         shading = choice.without_idle_changes(shading, witnesses.accepts)
         if (shading, framed.detail) != (full, framed.finest):
-            measured = relative_time(full, shading, framed)
-            if not saves(measured):
+            measured = search.relative_time(full, shading, framed)
+            if not search.saves(measured):
                 shading, framed.detail = full, framed.finest
-                choice.frames = replace(choice.frames, own=choice.frames.full)
+                choice.frames = replace(choice.frames, planned=choice.frames.full)
     maps = [view.errors(shading) for view in views]
-    error = _error(maps, views, cameras, sizes, [*drawn.errors(shading)] if drawn else [])
+    error = _error(maps, views, cameras, sizes, [*rendered.errors(shading)] if rendered else [])
     progress("decisions", 0.0)
 
     def largest_error(shading: Shading, detail: LevelOfDetail | None = None) -> float:
         """Return the larger of two errors: in float64, and of the images at a level of detail."""
         errors = [view.error(shading) for view in views]
-        return max([*errors, drawn.error(shading, detail)] if drawn else errors)
+        return max([*errors, rendered.error(shading, detail)] if rendered else errors)
 
-    finest_error = partial(largest_error, detail=drawn.finest if drawn else None)
+    finest_error = partial(largest_error, detail=rendered.finest if rendered else None)
+    cost_of_plan = choice.cost(shading)
+    if framed:
+        relative = measured.value if measured is not None and search.saves(measured) else 1.0
+        total = relative * cost_of_plan.full_total
+        cost_of_plan = replace(cost_of_plan, total=total, measured=measured)
     plan_decisions = [*decisions(choice, shading, finest_error, largest_error, witnesses.error)]
     if framed:
         plan_decisions = [*details(choice, framed), *plan_decisions]
@@ -446,7 +404,7 @@ def _planned(
         shading=shading,
         full=full,
         error=error,
-        cost=choice.measured_cost(shading, measured) if framed else choice.cost(shading),
+        cost=cost_of_plan,
         # Changes that fit, but save nothing, would look like changes that the search has missed.
         decisions=tuple(
             decision
@@ -462,7 +420,7 @@ def _planned(
         constants=constants,
         candidates=choice.count,
         tried=witnesses.tried,
-        error_map=maps[_worst(maps)],
+        error_map=max(maps, key=np.max),
     )
 
 
@@ -477,43 +435,36 @@ def _elsewhere(
     """Return the error at a camera that looks at the mesh, even if the first one does not."""
     if shading == full and (framed is None or framed.detail == framed.finest):
         return None
-    first_camera, count = cameras[0], len(cameras)
-    azimuths = (
-        (first_camera.azimuth + 45.0 / 2**n + 180.0) % 360.0 - 180.0 for n in range(count + 1)
-    )
-    candidates = (orbiting(first_camera, azimuth=azimuth, target=None) for azimuth in azimuths)
-    camera = next(candidate for candidate in candidates if candidate not in cameras)
+    camera, angle = cameras[0], 45.0
+    while camera in cameras:
+        azimuth = (cameras[0].azimuth + angle + 180.0) % 360.0 - 180.0
+        camera, angle = orbiting(cameras[0], azimuth=azimuth, target=None), angle / 2.0
     other_viewpoint = replace(viewpoint, scene=replace(viewpoint.scene, camera=camera))
-    drawn = DrawnViews([other_viewpoint], full, budget)
-    ((maximum, within),) = drawn.errors(shading, framed.detail if framed else None)
+    rendered = DrawnViews([other_viewpoint], full, budget)
+    ((maximum, within),) = rendered.errors(shading, framed.detail if framed else None)
     return Elsewhere(camera, maximum, within)
-
-
-def _worst(maps: Sequence[NDArray[np.float64]]) -> int:
-    """Return the index of the error map with the largest error."""
-    return int(np.argmax([errors.max() for errors in maps]))
 
 
 def _error(
     maps: Sequence[NDArray[np.float64]],
-    views: Sequence[Region],
+    views: Sequence[ReferencePixels],
     cameras: Sequence[Camera],
     sizes: Sequence[tuple[int, int]],
-    drawn: Sequence[tuple[float, float]],
+    rendered: Sequence[tuple[float, float]],
 ) -> Error:
     """Return the error over all views, which are ordered by size, then by camera."""
-    worst = _worst(maps)
+    worst = int(np.argmax([errors.max() for errors in maps]))
     y, x = np.unravel_index(np.argmax(maps[worst]), maps[worst].shape)
     pairs = [*zip(maps, views, strict=True)]
     covered = np.concatenate([errors[view.counted] for errors, view in pairs])
-    maximum, within = np.max(drawn, axis=0).tolist() if drawn else (None, None)
-    number, camera = divmod(worst, len(cameras))
+    maximum, within = np.max(rendered, axis=0).tolist() if rendered else (None, None)
+    size, camera = divmod(worst, len(cameras))
     return Error(
         maximum=float(covered.max()),
         within=max(highest_but(errors, view.spared) for errors, view in pairs),
         percentile=float(np.quantile(covered, 0.999)),
         camera=camera,
-        size=sizes[number],
+        size=sizes[size],
         pixel=(int(x), int(y)),
         drawn=maximum,
         drawn_within=within,
@@ -529,11 +480,8 @@ def cached_plan(
     renderer: Renderer,
     cache: bool = True,
 ) -> dict[str, Any]:
-    """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible.
-
-    ``cache`` enables the cache. The other parameters and the errors are the same as in
-    :func:`facerender.plan`.
-    """
+    """Return a plan in the form of :meth:`facerender.Plan.as_dict`, from the cache if possible; the
+    parameters are as in :func:`facerender.plan`."""
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
     with suppress(ValueError, KeyError, TypeError):  # the file is damaged or has another format
@@ -544,13 +492,14 @@ def cached_plan(
             if isinstance(cached["text"], str):
                 return cached
     new_plan = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
-    facts = new_plan.as_dict()
+    values = new_plan.as_dict()
     if cache:
-        disk_cache.write("plans", name, [json.dumps(facts).encode()])
-    return facts
+        disk_cache.write("plans", name, [json.dumps(values).encode()])
+    return values
 
 
 def _digest(*parts: Any) -> str:
+    # The version and the price table count too: another one may give another plan.
     pieces = (piece for part in (__version__, *parts) for piece in _pieces(part))
     return digest_of(TABLE.read_bytes(), *pieces)
 
@@ -566,8 +515,8 @@ def _pieces(value: Any) -> Iterator[bytes]:
         yield value.rgb().tobytes()
     elif isinstance(value, Renderer):
         names = ("size", "samples", "anisotropy", "albedo_kind", "full_maps")
-        facts = [getattr(value, name) for name in names] + [value.context.renderer]
-        yield repr(facts).encode()
+        options = [getattr(value, name) for name in names] + [value.context.renderer]
+        yield repr(options).encode()
     elif isinstance(value, tuple):
         for element in value:
             yield from _pieces(element)

@@ -1,9 +1,11 @@
-"""Frame times of a plan on this driver, estimated from a few measured frames."""
+"""The choice of the cheapest shading within the budget, and frame times on this driver, estimated
+from a few measured frames."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import Any
 
@@ -13,20 +15,9 @@ from numpy.typing import NDArray
 from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import resolve, simplify
 from facerender.drawing.reference import Layers, environment_layer, layers
+from facerender.planning import candidates
 from facerender.planning.budget import ROUNDING, Budget, highest_but
-from facerender.planning.candidates import (
-    Constants,
-    DrawnViews,
-    Viewpoint,
-    candidates,
-    changed,
-    draw,
-    groups,
-    scattered_light,
-    separable,
-    shadowed,
-    with_decisions,
-)
+from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.pricing.cost import Frames, Interval, Line, relative, seconds
 from facerender.pricing.table import NoPrice, load_prices
 from facerender.scene.detail import LevelOfDetail
@@ -38,23 +29,22 @@ _VIEWPOINTS, _REPEATS = 3, 5
 _ROUNDS, _SECONDS = 25, 5.0  # most rounds of the chosen and the full frame, and their time
 
 
-def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
+def measured_frames(choice: Choice, views: DrawnViews) -> Frames:
     """Measure a few frames, and return frame time as a linear function of the fragment price.
 
-    With the full shading, the full frame and a frame for each change of the level of detail are
-    measured. The full and the final level of detail are also measured with the cheapest shading.
-    For each of these two levels of detail, a line through the times of the two shadings gives the
-    time of every other shading.
+    With the full shading, a frame for each change of the level of detail is measured. The full and
+    the final level of detail are also measured with the cheapest shading: a line through the times
+    of the two shadings gives the time of every other shading.
     """
     full, cheap = choice.full, choice.ordered[0]
-    detail = drawn.finest
+    detail = views.finest
     steps = {"full": detail}
     for name in ("cull_back_faces", "samples", "shading_rate", "triangles"):
-        detail = steps[name] = replace(detail, **{name: getattr(drawn.detail, name)})
+        detail = steps[name] = replace(detail, **{name: getattr(views.detail, name)})
     asked = {(detail, full) for detail in steps.values()}
-    asked |= {(detail, cheap) for detail in (drawn.finest, drawn.detail)}
+    asked |= {(detail, cheap) for detail in (views.finest, views.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
-    draws = [_frame(drawn, *frame) for frame in frames]
+    draws = [_frame(views, *frame) for frame in frames]
     durations = seconds(draws, _REPEATS)
     medians = 1e3 * np.median(durations[:, 0]) * np.median(durations / durations[:, :1], axis=0)
     times = dict(zip(frames, medians.tolist(), strict=True))
@@ -64,24 +54,24 @@ def measured_frames(choice: Choice, drawn: DrawnViews) -> Frames:
         detail_times = times[detail, full], times[detail, cheap]
         return Line.through((prices[0], detail_times[0]), (prices[1], detail_times[1]))
 
-    driver = drawn.viewpoints[0].renderer.context.renderer
+    driver = views.viewpoints[0].renderer.context.renderer
     source = f"drawn in turns on {driver}"
     step_times = {name: times[detail, full] for name, detail in steps.items()}
-    return Frames(line(drawn.finest), line(drawn.detail), step_times, source)
+    return Frames(line(views.finest), line(views.detail), step_times, source)
 
 
-def relative_time(full: Shading, shading: Shading, drawn: DrawnViews) -> Interval:
+def relative_time(full: Shading, shading: Shading, views: DrawnViews) -> Interval:
     """Draw a shading's frame and the full frame alternately; see
     :func:`facerender.pricing.cost.relative`."""
-    planned_frame = _frame(drawn, drawn.detail, shading)
-    return relative(planned_frame, _frame(drawn, drawn.finest, full), _ROUNDS, _SECONDS)
+    planned_frame = _frame(views, views.detail, shading)
+    return relative(planned_frame, _frame(views, views.finest, full), _ROUNDS, _SECONDS)
 
 
-def _frame(drawn: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
+def _frame(views: DrawnViews, detail: LevelOfDetail, shading: Shading) -> Callable[[], object]:
     """Return a function that draws up to _VIEWPOINTS of the viewpoints, one after the other."""
-    step = max(len(drawn.viewpoints) // _VIEWPOINTS, 1)
-    viewpoints = drawn.viewpoints[::step][:_VIEWPOINTS]
-    return lambda: [draw(viewpoint, shading, detail) for viewpoint in viewpoints]
+    step = max(len(views.viewpoints) // _VIEWPOINTS, 1)
+    viewpoints = views.viewpoints[::step][:_VIEWPOINTS]
+    return lambda: [candidates.draw(viewpoint, shading, detail) for viewpoint in viewpoints]
 
 
 Float = NDArray[np.float64]
@@ -99,24 +89,17 @@ _ENVIRONMENTS = 8
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of a fragment, computed from the prices of the plan, or of a frame.
+    """Cost of a fragment, computed from the prices of the plan, or of a frame."""
 
-    Attributes
-    ----------
-    total, specular : cost of the whole fragment program or frame, and cost of its specular terms
-    full_total, full_specular : the same two costs with full shading and full level of detail
-    unit, source : unit and origin of the prices
-    measured : time of the cheaper frame divided by the time of the full frame, both drawn in turns:
-        median, and the interval of 80 % of the rounds. If this interval includes 1, the plan is the
-        full frame. None for fragments, or if there is no cheaper frame
-    """
-
-    total: float
-    specular: float
-    full_total: float
+    total: float  # of the whole fragment program or frame
+    specular: float  # of its specular terms
+    full_total: float  # with full shading and full level of detail
     full_specular: float
-    unit: str
-    source: str
+    unit: str  # of the prices
+    source: str  # origin of the prices
+    # Time of the cheaper frame divided by the time of the full frame, both drawn in turns: median,
+    # and the interval of 80 % of the rounds. If this interval includes 1, the plan is the full
+    # frame. None for fragments, or if there is no cheaper frame.
     measured: Interval | None = None
 
     @property
@@ -175,11 +158,11 @@ class Choice:
         constants: Constants,
         cost: str,
         software: bool,
-        views: Sequence[Region] = (),
+        views: Sequence[ReferencePixels] = (),
     ) -> None:
         """Collect and price the shadings. A change whose error on its own exceeds the limit in one
         of ``views`` is left out of the search."""
-        self.scene, self.full, self.budget, self.constants = scene, full, budget, constants
+        self.scene, self.full, self.budget = scene, full, budget
         self.limit = budget.limit - ROUNDING[budget.unit]  # of the error in float64
         # Variants of the full shading with one change and an error above the limit.
         self.refused: list[Shading] = []
@@ -190,29 +173,23 @@ class Choice:
             self.refused.append(shading)
             return False
 
-        listed = list(candidates(scene, full, constants, fits))
+        listed = list(candidates.candidates(scene, full, constants, fits))
         self.prices = load_prices(cost, scene, [*listed, full], software)
         self.costs: dict[Shading, float] = {}
-        full_cost = self.total(full)
-        priced = filter(self.is_priced, listed)
-        cheaper = [shading for shading in priced if self.total(shading) < full_cost]
+        full_cost = self.prices.cost(scene, full)[0]
+        cheaper = [shading for shading in listed if self.total(shading) < full_cost]
         # The cheapest shading comes first; of equal costs, the one with the fewest changes.
-        cheaper.sort(key=lambda shading: (self.total(shading), len(changed(shading, full))))
+        changes = candidates.changed
+        cheaper.sort(key=lambda shading: (self.total(shading), len(changes(shading, full))))
         self.ordered = [*cheaper, full]
         self.count = len(cheaper)
 
-    def is_priced(self, shading: Shading) -> bool:
-        """Return whether every term and light of a shading has a price."""
-        try:
-            self.total(shading)
-        except NoPrice:
-            return False
-        return True
-
     def total(self, shading: Shading) -> float:
-        """Return the cost of a fragment with a shading."""
+        """Return the cost of a fragment with a shading; infinity if a term has no price."""
         if shading not in self.costs:
-            self.costs[shading] = self.prices.cost(self.scene, shading)[0]
+            self.costs[shading] = np.inf
+            with suppress(NoPrice):
+                self.costs[shading] = self.prices.cost(self.scene, shading)[0]
         return self.costs[shading]
 
     def cost(self, shading: Shading) -> Cost:
@@ -221,27 +198,21 @@ class Choice:
         full_cost = self.prices.cost(self.scene, self.full)
         if self.frames is None:
             return Cost(*cost, *full_cost, f"{self.prices.unit} a fragment", self.prices.source)
-        frame_costs = self.frames.own.cost(*cost), self.frames.full.cost(*full_cost)
+        frame_costs = self.frames.planned.cost(*cost), self.frames.full.cost(*full_cost)
         return Cost(*frame_costs[0], *frame_costs[1], "ms a frame", self.frames.source)
-
-    def measured_cost(self, shading: Shading, measured: Interval | None) -> Cost:
-        """Return :meth:`cost` with the measured time of the frame; None: it is the full frame."""
-        cost = self.cost(shading)
-        relative = measured.value if measured is not None and saves(measured) else 1.0
-        return replace(cost, total=relative * cost.full_total, measured=measured)
 
     def saved(self, shading: Shading, other: Shading) -> float:
         """Return how much less ``shading`` costs than ``other``, as a fraction of the full cost."""
-        saving = self.total(other) - self.total(shading)
+        saving = self.prices.cost(self.scene, other)[0] - self.total(shading)
         if self.frames is not None:
-            saving *= self.frames.own.slope
+            saving *= self.frames.planned.slope
         return saving / self.cost(self.full).full_total
 
     def first(self, fits: Callable[[Shading], bool], progress: Progress) -> Shading:
-        """Return the cheapest shading that fits. If the budget is smaller than the error of
-        rounding, only the full shading fits."""
-        for number, shading in enumerate(self.ordered if self.limit >= 0.0 else ()):
-            progress("shadings", number / len(self.ordered))
+        """Return the cheapest shading that fits."""
+        # If the budget is smaller than the error of rounding, only the full shading fits.
+        for index, shading in enumerate(self.ordered if self.limit >= 0.0 else ()):
+            progress("shadings", index / len(self.ordered))
             if shading is self.full or fits(shading):
                 return shading
         return self.full
@@ -249,11 +220,11 @@ class Choice:
     def without_idle_changes(self, shading: Shading, fits: Callable[[Shading], bool]) -> Shading:
         """Return a shading without the changes that together save less than _IDLE of the price."""
         result = shading
-        changes = groups(shading, self.full)
+        changes = candidates.groups(shading, self.full)
         for names in reversed(changes.values()):  # the lobe before the slopes that it is fitted to
-            if not separable(result, names):
+            if not candidates.separable(result, names):
                 continue
-            reverted = with_decisions(result, self.full, names)
+            reverted = candidates.with_decisions(result, self.full, names)
             extra_cost = self.total(reverted) - self.total(shading)
             if extra_cost < _IDLE * self.total(self.full) and fits(reverted):
                 result = reverted
@@ -263,8 +234,10 @@ class Choice:
 class Witnesses:
     """Test of shadings, first at the pixels at which earlier shadings exceeded the limit."""
 
-    def __init__(self, views: Sequence[Region], choice: Choice, drawn: DrawnViews | None) -> None:
-        self.views, self.limit, self.drawn = views, choice.limit, drawn
+    def __init__(
+        self, views: Sequence[ReferencePixels], choice: Choice, rendered: DrawnViews | None
+    ) -> None:
+        self.views, self.limit, self.rendered = views, choice.limit, rendered
         self.tried = 0  # number of shadings that were evaluated at every pixel
         # Up to _REGIONS regions; the one that last rejected a shading is first. Empty with FLIP.
         self.regions = [view.spread() for view in views if view.counted.any()]
@@ -277,7 +250,7 @@ class Witnesses:
 
     def accepts(self, shading: Shading) -> bool:
         """Return whether a shading is within the limit in every image."""
-        if self.drawn is not None and self.drawn.rejects(shading):
+        if self.rendered is not None and self.rendered.rejects(shading):
             return False
         for index, region in enumerate(self.regions):
             if not region.error(shading) <= self.limit:
@@ -290,16 +263,17 @@ class Witnesses:
                 if self.regions:
                     self.regions = [view.around(errors), *self.regions[: _REGIONS - 1]]
                 return False
-        return self.drawn is None or self.drawn.accepts(shading)
+        return self.rendered is None or self.rendered.accepts(shading)
 
     def error(self, shading: Shading) -> float:
-        """Return a lower bound of a shading's :meth:`Region.error`; with FLIP this error itself."""
+        """Return a lower bound of a shading's error in the views; with FLIP this error itself."""
         return max(region.error(shading) for region in self.regions or self.views)
 
 
 @dataclass(eq=False)
-class Region:
-    """Pixels of one camera: G-buffers, evaluated terms, and radiance with the full shading."""
+class ReferencePixels:
+    """All pixels of one camera, or a few that reject most shadings in a fraction of the time, with
+    G-buffers, float64 terms, and radiance of the full shading."""
 
     scene: Scene
     mapped: GBuffer  # with the normal map
@@ -308,8 +282,7 @@ class Region:
     full: Shading
     budget: Budget
     spared: int  # number of pixels of the whole image that may exceed the budget
-    # Returns the change that scattering causes in the pixels' radiance; None if no material
-    # scatters.
+    # Returns the change of radiance that scattering causes; None if no material scatters.
     scattered: Callable[[Shading], Float] | None
     # Largest number of shadings with cached terms; the first is the full shading.
     most_known: int = 1
@@ -321,7 +294,7 @@ class Region:
         self.exact = self.image(self.full)
 
     @classmethod
-    def of_viewpoint(cls, viewpoint: Viewpoint, full: Shading, budget: Budget) -> Region:
+    def of_viewpoint(cls, viewpoint: Viewpoint, full: Shading, budget: Budget) -> ReferencePixels:
         """Return a region of all pixels of a viewpoint."""
         renderer, scene = viewpoint.renderer, viewpoint.scene
         mapped = renderer.gbuffer(scene, full, blended=False)
@@ -331,7 +304,7 @@ class Region:
             plain = renderer.gbuffer(scene, replace(full, normal_map=False), blended=False)
         counted = mapped.part >= 0
         spared = budget.spared(int(np.count_nonzero(counted)))
-        scattered = None if mapped.facing is None else scattered_light(viewpoint)
+        scattered = None if mapped.facing is None else candidates.scattered_light(viewpoint)
         return cls(scene, mapped, plain, counted, full, budget, spared, scattered)
 
     def layers(self, shading: Shading) -> Layers:
@@ -343,8 +316,8 @@ class Region:
         if lit_shading.ks is not None:
             weight = np.full_like(gbuffer.specular_weight, lit_shading.ks)
             gbuffer = replace(gbuffer, specular_weight=weight)
-        bare_term = replace(lit_shading.term, lobe="exact", small_slope=None)
-        environment_shading = replace(lit_shading, term=bare_term, shadow_lights=())
+        exact = {"lobe": "exact", "small_slope": None, "shadow_lights": ()}
+        environment_shading = lit_shading.replace(**exact)
         environment = self.environments.get(environment_shading)
         if environment is None:
             environment = environment_layer(gbuffer, self.scene, environment_shading)
@@ -373,14 +346,14 @@ class Region:
         """Return the largest error of a pixel after leaving out the ``spared`` worst pixels."""
         return highest_but(self.errors(shading), self.spared)
 
-    def spread(self) -> Region:
+    def spread(self) -> ReferencePixels:
         """Return a region of a few random pixels and the pixels with the brightest highlights."""
         shine = np.where(self.counted, self.terms.specular.sum(axis=(0, -1)), -1.0)
         inside = np.flatnonzero(self.counted)
         chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
         return self._pixels(np.union1d(chance, self._highest(shine)))
 
-    def around(self, errors: Float) -> Region:
+    def around(self, errors: Float) -> ReferencePixels:
         """Return a region of the pixels with the largest errors."""
         return self._pixels(self._highest(errors))
 
@@ -388,7 +361,7 @@ class Region:
         count = min(self.spared + _WORST, values.size)
         return np.argpartition(values, -count, axis=None)[-count:]
 
-    def _pixels(self, flat: NDArray[np.int64]) -> Region:
+    def _pixels(self, flat: NDArray[np.int64]) -> ReferencePixels:
         index = np.unravel_index(flat[None], self.counted.shape)
         budget, scattered = self.budget, self.scattered
         return replace(
@@ -403,18 +376,17 @@ class Region:
 
 
 def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
-    values = {field.name: getattr(gbuffer, field.name) for field in fields(gbuffer)}
-    arrays = {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
-    return replace(gbuffer, **{name: array[index] for name, array in arrays.items()})
+    arrays = {k: v[index] for k, v in vars(gbuffer).items() if isinstance(v, np.ndarray)}
+    return replace(gbuffer, **arrays)
 
 
-def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Constants:
+def constants_of(scene: Scene, full: Shading, views: Sequence[ReferencePixels]) -> Constants:
     """Return the constants; they are means over pixels, weighted by the specular radiance of each
     pixel."""
     single = resolve(scene, replace(full, two_lobes=False))
     bounds = {end for slopes in single.appearance.slopes for end in slopes}
     peaks, darkened = np.zeros((2, len(scene.lights)))
-    cast = shadowed(scene, full)
+    cast = candidates.shadowed(scene, full)
     m, ks, light = [], [], []
     for view in views:
         specular = view.terms.specular.max(axis=-1)
@@ -434,7 +406,7 @@ def constants_of(scene: Scene, full: Shading, views: Sequence[Region]) -> Consta
     return Constants(slope, means[1], faintest, shadows, _single(views, weights))
 
 
-def _single(views: Sequence[Region], weights: Float) -> tuple[float, ...]:
+def _single(views: Sequence[ReferencePixels], weights: Float) -> tuple[float, ...]:
     """Return values of m with which a single lobe may replace two lobes. The smallest m gives the
     same peak, the largest m the same slope variance; ``weights`` weight the means over pixels."""
     if any(view.mapped.second_m is None for view in views):

@@ -10,11 +10,10 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
-import moderngl
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -47,6 +46,7 @@ def bootstrap(
     estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
 ) -> list[Interval]:
     """Return estimates (N,) with 95 % intervals; ``estimate`` takes indices of repeats."""
+    # The seed is constant: equal times have equal intervals, in tests and in documents.
     draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
     low, high = np.percentile([estimate(turns) for turns in draws], [2.5, 97.5], axis=0)
     value = estimate(np.arange(repeats))
@@ -64,13 +64,11 @@ def seconds(
     progress: Callable[[float], object] = lambda done: None,
     limit: float = math.inf,
 ) -> NDArray[np.float64]:
-    """Return the duration of each draw, (rounds, draws) in seconds.
-
-    The draws alternate. A first round, which compiles and uploads, is not measured.
+    """Return the duration of each draw, (rounds, draws) in seconds. The draws alternate.
 
     limit : seconds after which no further round begins, once there are _FEWEST rounds
     """
-    for draw in draws:
+    for draw in draws:  # compiles and uploads
         draw()
     times = np.empty((repeats, len(draws)))
     for turn in range(repeats):
@@ -92,39 +90,27 @@ def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
 
 def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
     """Divide the time of ``draw`` by the time of ``full`` per round; return the median and the 10 %
-    and 90 % quantiles of the ratios.
-
-    The load of a machine changes within seconds, and more rounds of one load do not show that. So
-    these quantiles contain the median of a later measurement more often than a bootstrap interval.
-
-    limit : as in :func:`seconds`
-    """
+    and 90 % quantiles of the ratios. ``limit`` is as in :func:`seconds`."""
+    # The load of a machine changes within seconds, and more rounds of one load do not show that.
+    # These quantiles contain the median of a later measurement more often than a bootstrap does.
     times, baseline = seconds([draw, full], repeats, limit=limit).T
     return Interval(*np.quantile(times / baseline, [0.5, 0.1, 0.9]).tolist())
 
 
 @dataclass(frozen=True)
 class Line:
-    """Milliseconds of a frame as a linear function of its fragment price.
+    """Milliseconds of a frame as a linear function of its fragment price."""
 
-    Attributes
-    ----------
-    fixed : milliseconds that do not depend on the shading: geometry, coverage, maps, readback
-    slope : increase of the frame time in milliseconds per unit of the fragment price
-    """
-
-    fixed: float
-    slope: float
+    fixed: float  # milliseconds of geometry, coverage, maps and readback, with any shading
+    slope: float  # milliseconds per unit of the fragment price
 
     @classmethod
     def through(cls, full: tuple[float, float], cheap: tuple[float, float]) -> Line:
         """Return the line through two frames, each given by its fragment price and milliseconds.
-
-        The slope is 0 if the cheaper frame was not faster. If noise makes the line steep, the line
-        ends at the origin instead, so that no shading saves more than the whole frame.
-        """
+        The slope is 0 if the cheaper frame was not faster."""
         (price, time), (low_price, low_time) = full, cheap
         slope = (time - low_time) / (price - low_price) if price > low_price else 0.0
+        # Noise may make the line steep. No shading saves more than the whole frame.
         slope = min(max(slope, 0.0), time / price)
         return cls(time - slope * price, slope)
 
@@ -135,21 +121,14 @@ class Line:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frame times of a plan.
+    """Frame times of a plan."""
 
-    Attributes
-    ----------
-    full, own : time as a function of the fragment price, with the full and with the chosen
-        level of detail
-    taken : milliseconds of frames with the full shading, keyed by the last choice in effect:
-        "full", "cull_back_faces", "samples", "shading_rate" or "triangles"
-    source : origin of the times, as text
-    """
-
-    full: Line
-    own: Line
+    full: Line  # time as a function of the fragment price, with the full level of detail
+    planned: Line  # the same with the chosen level of detail
+    # Milliseconds of frames with the full shading, keyed by the last choice in effect: "full",
+    # "cull_back_faces", "samples", "shading_rate" or "triangles".
     taken: Mapping[str, float]
-    source: str
+    source: str  # origin of the times, as text
 
 
 SLOPE = 0.3  # slope m of the priced terms
@@ -167,10 +146,8 @@ _PRINTED_EXACT = {
 
 
 def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
-    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020), in float64.
-
-    The formula is ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1.
-    """
+    """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020), in float64:
+    ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1."""
     n = 2.0 / np.asarray(m, np.float64) ** 2 - k
     return np.asarray((n / g * (np.asarray(c) - 1.0) + 1.0) ** g)
 
@@ -184,18 +161,12 @@ PRINTED_D16 = replace(
 
 @dataclass(frozen=True)
 class Variant:
-    """A form of a model's specular term, by the names of model and lobe.
-
-    Attributes
-    ----------
-    printed : whether the form is published by Romanyuk et al., not the library's form
-    plain : whether the exact lobe omits the extra precision at small angles, which is needed only
-        for m < SMALL_SLOPE
-    """
+    """A form of a model's specular term, by the names of model and lobe."""
 
     model: str
     lobe: str
-    printed: bool = False
+    printed: bool = False  # whether the form is as published by Romanyuk et al.
+    # Whether the exact lobe omits the precision at small angles that m < SMALL_SLOPE needs.
     plain: bool = False
 
     @property
@@ -314,20 +285,11 @@ def by_slope(
 
     A fragment evaluates the term n times, for three values of n. The gradient of a line through the
     three times, divided by the number of pixels, is the time per evaluation. The terms are measured
-    alternately, so that a slow phase of the machine affects all of them. On a GPU, timer queries
-    measure the time. On a CPU, the processor time of this process up to ``glFinish`` is divided by
-    the number of drawing threads; the quotient is close to the wall time of an idle machine.
+    alternately, so that a slow phase of the machine affects all of them.
 
-    Parameters
-    ----------
     terms : GLSL prelude (may include library files) and float expression, keyed by name; variables:
         vec3 n, l, v and float c (cosine of the angle between normal and half vector), m, f0
     empty : expression whose cost is subtracted: OF_VECTORS for whole terms, OF_COSINE for lobes
-
-    Raises
-    ------
-    ContextError : no OpenGL context
-    moderngl.Error : a term is not valid GLSL
     """
     context = create_context(backend)
     try:
@@ -335,7 +297,6 @@ def by_slope(
             target = gl.framebuffer([gl.renderbuffer(SIZE, 1, dtype="f4")])
             corners = gl.buffer(np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32))
             target.use()
-            clock = clock_of(context)
 
             def run(prelude: str, expression: str) -> Callable[[int], float]:
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
@@ -344,7 +305,7 @@ def by_slope(
                 def seconds(count: int) -> float:
                     program["count"] = count
                     program["step"] = 0.05 / count  # keeps c and m in their domains
-                    with clock(gl) as elapsed:
+                    with clock(context) as elapsed:
                         kernel.render()
                     return elapsed[0]
 
@@ -368,8 +329,6 @@ def slopes(
 ) -> list[Interval]:
     """Measure the seconds per count of alternating runs, and return weighted sums over the runs.
 
-    Parameters
-    ----------
     runs : functions that draw a given number of times and return the seconds
     first : the smallest count; it is doubled while the times are too short for the clock
     weights : weight of each run in each sum, (N, runs)
@@ -398,47 +357,35 @@ def frames(
     backend: Backend = "auto",
     progress: Callable[[float], object] = lambda done: None,
 ) -> list[Interval]:
-    """Measure milliseconds per frame with readback, one sample per pixel; the shadings alternate.
-    For errors see :meth:`Renderer.render`."""
+    """Measure milliseconds per frame with readback, one sample per pixel, in turns."""
     with Renderer(size, samples=1, backend=backend) as renderer:
         draws = [partial(renderer.render, scene, shading) for shading in shadings]
         times = seconds(draws, repeats, progress)
     return bootstrap(lambda turns: 1e3 * np.quantile(times[turns], QUANTILE, axis=0), repeats)
 
 
-def clock_of(context: Context) -> Callable[[moderngl.Context], AbstractContextManager[list[float]]]:
-    """Return a function that makes timers: context managers that append their seconds to a list."""
-    if context.software:
-        return partial(_cpu_clock, threads=_threads(context.renderer))
-    return _gpu_clock
-
-
-def _threads(renderer: str) -> int:
-    """Return the number of CPU threads that a software driver draws with."""
-    if "softpipe" in renderer.lower():
-        return 1
-    cores = len(os.sched_getaffinity(0))
-    threads = os.environ.get("LP_NUM_THREADS", "")  # read by llvmpipe; 0: only one thread
-    return max(1, min(cores, int(threads))) if threads.isdecimal() else cores
-
-
 @contextmanager
-def _cpu_clock(gl: moderngl.Context, threads: int) -> Iterator[list[float]]:
+def clock(context: Context) -> Iterator[list[float]]:
+    """Yield an empty list, and append the seconds that the block draws."""
     elapsed: list[float] = []
-    gl.finish()
+    if not context.software:
+        query = context.gl.query(time=True)
+        with query:
+            yield elapsed
+        elapsed.append(1e-9 * query.elapsed)
+        return
+    # Processor time divided by the number of threads is close to the wall time of an idle machine,
+    # and other processes hardly change it.
+    threads = 1
+    if "softpipe" not in context.renderer.lower():
+        threads = len(os.sched_getaffinity(0))
+        limit = os.environ.get("LP_NUM_THREADS", "")  # read by llvmpipe; 0: only one thread
+        threads = max(1, min(threads, int(limit))) if limit.isdecimal() else threads
+    context.gl.finish()
     start = time.process_time()
     yield elapsed
-    gl.finish()
+    context.gl.finish()
     elapsed.append((time.process_time() - start) / threads)
-
-
-@contextmanager
-def _gpu_clock(gl: moderngl.Context) -> Iterator[list[float]]:
-    elapsed: list[float] = []
-    query = gl.query(time=True)
-    with query:
-        yield elapsed
-    elapsed.append(1e-9 * query.elapsed)
 
 
 PARTS = ("scattering", "sample of scattering")
@@ -459,8 +406,7 @@ def scene() -> Scene:
 
 
 def by_frames(repeats: int = 9) -> dict[str, float]:
-    """Measure the cost of PARTS on this machine, in nanoseconds per pixel; raise like
-    :func:`facerender.pricing.cost.frames`."""
+    """Measure the cost of PARTS on this machine, in nanoseconds per pixel."""
     shadings = [Shading(scatter_samples=count) for count in (0, *_MEASURED)]
     none, *scattered = frames(scene(), shadings, (_SIZE, _SIZE), repeats)
     return parts(_MEASURED, [1e6 * (time.value - none.value) / _SIZE**2 for time in scattered])

@@ -2,9 +2,7 @@
 
 The parts are the renderer's program, its maps and lights, the specular term of the first light, and
 the term of each further light, which shares values with the first. ``by_slope`` measures all parts
-except the specular terms on this machine, in the programs that ``samples`` returns. ``python -m
-benchmarks.prices table`` writes the table ``prices.json`` in the repository; ``measured`` measures
-the prices on this machine."""
+except the specular terms on this machine, in the programs that ``samples`` returns."""
 
 from __future__ import annotations
 
@@ -21,21 +19,19 @@ import numpy as np
 from PIL import Image
 
 from facerender.drawing.compiled import CompiledFrame, sized
-from facerender.drawing.context import Backend, Context, create_context
-from facerender.drawing.passes import Draw, Pass, Target
-from facerender.drawing.prepare import Appearance, Lighting, ResolvedPart, ResolvedScene, resolve
-from facerender.drawing.program import Program, light_uniforms, shade_program
+from facerender.drawing.context import Context, create_context
+from facerender.drawing.maps import Maps
+from facerender.drawing.prepare import Appearance, Lighting, resolve
+from facerender.drawing.program import Draw, Pass, Program, Target, shade_draw
 from facerender.drawing.resources import CompiledProgram, Resources
-from facerender.drawing.shadows import shadow_passes, shadow_texels, shadow_uniforms
 from facerender.errors import InputError, check_known
 from facerender.glsl.library import call, prelude
 from facerender.material import PROPERTY_MAPS, Material
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import Mesh
-from facerender.mesh.part import Part
-from facerender.mesh.setup import Area
+from facerender.mesh.part import Area, Part
 from facerender.pricing import cost
-from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock_of, slopes
+from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock, slopes
 from facerender.scene.environment import Environment, studio
 from facerender.scene.light import LIGHT_KINDS
 from facerender.scene.scene import Scene
@@ -45,8 +41,7 @@ from facerender.terms import lobe_entry
 from facerender.texture.texture import Texture
 
 FEW = 2  # environment samples; compilers unroll a loop over two samples
-SHADOWS = tuple(sorted({kind.shadow_price for kind in LIGHT_KINDS.values()}))
-Timed = Callable[[int], float]  # draws N times and returns the seconds
+SHADOWS = tuple(sorted({light_type.shadow_price for light_type in LIGHT_KINDS.values()}))
 
 # A triangle that fills the target, with normals of a curved surface and 1.5 texels per pixel. It
 # is clockwise, since the renderer draws images upside down and culls accordingly.
@@ -69,18 +64,20 @@ def scene_with(
 ) -> Scene:
     """Return a scene with one triangle that fills the image, and maps of 1024 x 1024 texels.
 
-    lights : number of lights, keyed by kind; default: one directional light
+    lights : number of lights, keyed by type; default: one directional light
     """
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
     material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
     corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
     mesh = Mesh(Geometry("patch", (_PATCH,), corners, 1.0, np.ones((1, 2))), (material,))
     counts = lights or {"directional": 1}
-    examples = [LIGHT_KINDS[kind].example for kind, n in counts.items() for _ in range(n)]
-    sources = [replace(light, shadow=shadow) for light in examples]
-    around = Environment(studio()) if environment else None
-    irradiance = (0.2, 0.3, 0.4) if ambient else 0.0
-    return Scene(mesh, lights=tuple(sources), ambient=irradiance, environment=around)
+    examples = [LIGHT_KINDS[name].example for name, n in counts.items() for _ in range(n)]
+    return Scene(
+        mesh,
+        lights=tuple(replace(light, shadow=shadow) for light in examples),
+        ambient=(0.2, 0.3, 0.4) if ambient else 0.0,
+        environment=Environment(studio()) if environment else None,
+    )
 
 
 def program_of(
@@ -92,21 +89,14 @@ def program_of(
 ) -> Program:
     """Return the renderer's program for the first mesh part of a scene, valid for m >= SLOPE.
 
-    Parameters
-    ----------
     shading : shading of the scene; None: ``stub`` replaces the specular terms of the lights
     stub : GLSL that replaces the specular terms if ``shading`` is None; "": no specular terms
     """
     chosen = (shading or Shading()).replace(environment_samples=environment_samples)
     chosen = chosen.replace(diffuse="coupled") if coupled else chosen
-    resolved, term = _as_it_is(scene, chosen), shading.term if shading else None
-    program = shade_program(resolved.appearance, resolved.appearance.parts[0], term, SLOPE)
-    return replace(program, call=stub) if stub else program
-
-
-def _as_it_is(scene: Scene, shading: Shading) -> ResolvedScene:
-    """Return a scene with a shading, without removing the features that the shading leaves out."""
-    return ResolvedScene(scene, Appearance.of(scene, shading, "color"))
+    look = Appearance.of(scene, chosen, "color")  # with the features that the shading leaves out
+    draw = shade_draw(look, look.parts[0], shading.term if shading else None, SLOPE)
+    return replace(draw.program, call=stub) if stub else draw.program
 
 
 @cache
@@ -119,17 +109,16 @@ def _texture(name: str) -> Texture:
 
 
 def parts_of(program: Program) -> dict[str, int]:
-    """Return how many times a program contains each priced part.
-
-    Further specular terms are a separate part: they share values with the first specular term.
-    """
+    """Return how many times a program contains each priced part."""
     groups, has = program.lights or (), {*program.features}
     specular = sum(group.count for group in groups if group.specular) if program.call else 0
+    prefix = "ENVIRONMENT_SAMPLES "
+    samples_of_lobe = sum(int(f.removeprefix(prefix)) for f in has if f.startswith(prefix))
     counts: Counter[str] = Counter()
     for group in groups:
-        kind = LIGHT_KINDS[group.kind]
-        counts[kind.price] += group.count
-        counts[kind.shadow_price] += group.count * (group.shadows is not None)
+        light_type = LIGHT_KINDS[group.kind]
+        counts[light_type.price] += group.count
+        counts[light_type.shadow_price] += group.count * (group.shadows is not None)
     diffuse, coupled = "DIFFUSE" in has, "COUPLED" in has
     ambient = diffuse and "AMBIENT" in has
     shines = bool(specular or program.environment or coupled)
@@ -142,40 +131,32 @@ def parts_of(program: Program) -> dict[str, int]:
         "normal map": int("NORMAL_MAP" in has),
         "property map": bool(has & read) + (shines and "LOBE_MAP" in has),
         "ambient term": int(ambient),
-        **{kind.price: counts[kind.price] for _, kind in sorted(LIGHT_KINDS.items())},
+        **{
+            LIGHT_KINDS[name].price: counts[LIGHT_KINDS[name].price] for name in sorted(LIGHT_KINDS)
+        },
         **{price: counts[price] for price in SHADOWS},
         "coupled diffuse": int(coupled),
         "light of coupled diffuse": sum(group.count for group in groups) * coupled,
         "environment": int("ENVIRONMENT" in has),
-        "environment sample": environment_samples(program),
+        "environment sample": program.environment.count("environment_map") * samples_of_lobe,
+        # Further specular terms share values with the first one.
         "first specular term": min(specular, 1),
         "further specular term": max(specular - 1, 0),
     }
 
 
-def environment_samples(program: Program) -> int:
-    """Return the number of environment samples of all lobes of a program."""
-    prefix = "ENVIRONMENT_SAMPLES "
-    counts = [int(f.removeprefix(prefix)) for f in program.features if f.startswith(prefix)]
-    return program.environment.count("environment_map") * sum(counts)
-
-
 def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
     """Return one scene and program per part; the programs' costs determine the parts' costs.
 
-    Each part is measured in a program that uses it. Property maps need a specular and an ambient
-    term, which read them. Other maps need an albedo map, whose cost includes the interpolation of
-    the texture coordinates.
-
-    Parameters
-    ----------
     shading : shading with the programs' specular terms. With None, programs evaluate ``INPUTS``
         instead, which keeps the inputs of a specular term alive. Then the cost of a specular part
         excludes the term, whose net cost must be added. For several terms, this overestimates
         the cost by the work that the terms share
     """
+    # Property maps need a specular and an ambient term, which read them. Other maps need an albedo
+    # map, whose cost includes the interpolation of the texture coordinates.
     albedo = ("albedo_map",)
-    lights: list[dict[str, Any]] = [{kind: 1} for kind in LIGHT_KINDS if kind != "directional"]
+    lights: list[dict[str, Any]] = [{name: 1} for name in LIGHT_KINDS if name != "directional"]
     dull = [
         scene_with(),
         scene_with(directional=2),
@@ -207,33 +188,21 @@ TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in sam
 
 
 def estimate(program: Program, parts: Mapping[str, float]) -> float:
-    """Return a program's cost from the costs of the parts.
-
-    If the parts were measured without a shading, the caller adds the cost of each specular term.
-    """
+    """Return a program's cost from the costs of the parts, see :func:`samples`."""
     return sum(count * parts[name] for name, count in parts_of(program).items())
 
 
-def by_slope(
-    backend: Backend = "auto",
-    repeats: int = 15,
-    progress: Callable[[float], object] = lambda done: None,
-    shading: Shading | None = None,
-) -> dict[str, Interval]:
+def by_slope(repeats: int = 15) -> dict[str, Interval]:
     """Measure the nanoseconds per fragment of each part on this machine.
 
-    Every program fills the target n times, for three values of n; ``cost.by_slope`` describes the
-    method and the errors. Additive blending prevents drivers from skipping fragments that later
-    ones cover. The cost of blending and of the rasteriser is measured with an empty program and
-    subtracted.
-
-    shading : see :func:`samples`
+    Every program fills the target n times, for three values of n, as in ``cost.by_slope``. The cost
+    of blending and of the rasteriser is measured with an empty program and subtracted.
     """
     net = np.column_stack([TO_PARTS, -TO_PARTS.sum(axis=1)])
-    context = create_context(backend)
+    context = create_context()
     try:
         with context.drawing() as gl:
-            resources, pairs = Resources(context), samples(shading)
+            resources, pairs = Resources(context), samples()
             programs = [resources.program(source) for _, source in pairs]
             empty = gl.program(pairs[0][1].sources("330 core")["vert"], _EMPTY)
             programs.append(CompiledProgram.of(empty))
@@ -241,7 +210,7 @@ def by_slope(
                 _timed(context, resources, scene, source, program)
                 for (scene, source), program in zip([*pairs, pairs[0]], programs, strict=True)
             ]
-            intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
+            intervals = slopes(runs, 2, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats)
             resources.release()
     finally:
         context.release()
@@ -250,26 +219,20 @@ def by_slope(
 
 def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: CompiledProgram
-) -> Timed:
-    """Return a function that draws a scene of one mesh part N times and returns the seconds.
-
-    source : program that the scene needs
-    program : program that is timed
-    """
-    resolved, mesh = _as_it_is(scene, Shading()), scene.mesh
-    look = resolved.appearance
+) -> Callable[[int], float]:
+    """Return a function that draws a scene of one mesh part N times and returns the seconds; the
+    scene needs the program ``source``, and ``program`` is timed."""
+    look, mesh = Appearance.of(scene, Shading(), "color"), scene.mesh
     (part,) = look.parts
-    texels = shadow_texels(look, _VIEW, (1024, 1024))
-    maps = shadow_passes(look, mesh, texels)
+    maps = Maps(look, mesh, _VIEW, (1024, 1024))
     inputs: dict[str, Any] = {}
-    if maps:
-        CompiledFrame(resources, maps, SIZE).draw(_VIEW, mesh)
-    for step in maps:
+    if passes := maps.passes():
+        CompiledFrame(resources, passes, SIZE).draw(_VIEW, mesh)
+    for step in passes:
         framebuffer = resources.targets[sized(step.target, SIZE)].framebuffer
         inputs[step.name] = framebuffer.color_attachments[0]
-    shared = {**light_uniforms(look), **shadow_uniforms(look, texels)}
     draw = replace(Draw.of_part(source, part), area=Area(0, 0, 1, 1))
-    step = Pass("", Target(), (draw,), uniforms=shared)
+    step = Pass("", Target(), (draw,), uniforms=maps.uniforms)
     panorama = scene.environment.panorama if scene.environment else None
     frame = CompiledFrame(resources, [step], SIZE, panorama, inputs)
     frame.draw(_VIEW, mesh)
@@ -277,15 +240,16 @@ def _timed(
     array = resources.parts[part.part].array(program)
     if matrix := program.uniforms.get("view_projection"):
         matrix.write(_VIEW.matrix.astype("f4"))
-    clock, gl = clock_of(context), context.gl
+    gl = context.gl
 
     def seconds(count: int) -> float:
-        # The drawing of one pixel sets the target, the uniforms and the textures.
+        # The drawing of one pixel sets the target, the uniforms and the textures. The timed draw
+        # then repeats its last call, since a whole frame would be timed with its state changes.
         frame.draw(_VIEW, mesh)
         framebuffer.viewport = 0, 0, *SIZE
-        gl.enable_only(moderngl.BLEND)
+        gl.enable_only(moderngl.BLEND)  # else drivers skip fragments that later ones cover
         gl.blend_func = moderngl.ONE, moderngl.ONE
-        with clock(gl) as elapsed:
+        with clock(context) as elapsed:
             array.render(instances=count)
         return elapsed[0]
 
@@ -307,59 +271,42 @@ class NoPrice(InputError):
 
 @dataclass(frozen=True)
 class Prices:
-    """Prices of one driver or GPU.
+    """Prices of one driver or GPU."""
 
-    Attributes
-    ----------
-    source : origin of the prices, as text
-    unit : unit of all prices
-    parts : prices of the fragment program without the specular terms, and of subsurface scattering
-    terms : two prices of each specular term, keyed by :func:`term_name`: the price for the first
-        light with a specular term, and the price for each further light. The same two prices of
-        each second lobe, keyed by :func:`second_name`
-    """
-
-    source: str
-    unit: str
+    source: str  # origin of the prices, as text
+    unit: str  # of all prices
+    # Prices of the fragment program without the specular terms, and of subsurface scattering.
     parts: Mapping[str, float]
+    # Two prices of each specular term, keyed by :func:`term_name`: the price for the first light
+    # with a specular term, and the price for each further light. The same two prices of each second
+    # lobe, keyed by :func:`second_name`.
     terms: Terms
 
     def cost(self, scene: Scene, shading: Shading) -> tuple[float, float]:
-        """Return the cost of a fragment of the scene, and the specular part of this cost.
-
-        With several mesh parts, return the mean weighted by the parts' numbers of faces. Raises
-        NoPrice if a term has no price.
-        """
-        resolved = resolve(scene, shading)
-        look = resolved.appearance
+        """Return the cost of a fragment of the scene, and the specular part of this cost: with
+        several mesh parts, their means weighted by the parts' numbers of faces."""
+        look = resolve(scene, shading).appearance
         total = specular = faces = 0.0
         for part, (smallest, _) in zip(look.parts, look.slopes, strict=True):
-            cost, shine = self._part(resolved, part, smallest)
-            faces += len(part.part.faces)
-            total += len(part.part.faces) * cost
-            specular += len(part.part.faces) * shine
+            material, count = part.material, len(part.part.faces)
+            lights = look.lighting.shining * bool(material.ks)
+            program = shade_draw(look, part, None, smallest).program
+            counts = parts_of(replace(program, call=INPUTS * bool(lights)))
+            if material.scattering and material.diffuse_weight > 0.0:
+                counts |= {"scattering": 1, "sample of scattering": shading.scatter_samples}
+            costs = {
+                name: times * self._priced(self.parts, name)
+                for name, times in counts.items()
+                if times and name not in _SPECULAR
+            }
+            names = [term_name(shading.term, smallest)]
+            names += [second_name(shading.term, smallest)] * material.two_lobes
+            pairs = [self._priced(self.terms, name) for name in names * bool(lights)]
+            shine = sum(sum([first, *[further] * (lights - 1)]) for first, further in pairs)
+            faces += count
+            total += count * (sum(costs.values()) + shine)
+            specular += count * (shine + costs.get("environment sample", 0.0))
         return total / faces, specular / faces
-
-    def _part(
-        self, resolved: ResolvedScene, part: ResolvedPart, smallest: float
-    ) -> tuple[float, float]:
-        """Return :meth:`cost` for one mesh part; ``smallest`` is its smallest slope m."""
-        shading, material = resolved.appearance.shading, part.material
-        lights = resolved.appearance.lighting.shining * bool(material.ks)
-        program = shade_program(resolved.appearance, part, None, smallest)
-        counts = parts_of(replace(program, call=INPUTS * bool(lights)))
-        if material.scattering and material.diffuse_weight > 0.0:
-            counts |= {"scattering": 1, "sample of scattering": shading.scatter_samples}
-        costs = {
-            name: count * self._priced(self.parts, name)
-            for name, count in counts.items()
-            if count and name not in _SPECULAR
-        }
-        names = [term_name(shading.term, smallest)]
-        names += [second_name(shading.term, smallest)] * material.two_lobes
-        pairs = [self._priced(self.terms, name) for name in names * bool(lights)]
-        shine = sum(sum([first, *[further] * (lights - 1)]) for first, further in pairs)
-        return sum(costs.values()) + shine, shine + costs.get("environment sample", 0.0)
 
     def _priced(self, prices: Mapping[str, P], name: str) -> P:
         if name not in prices:
@@ -371,27 +318,20 @@ class Prices:
 
 
 def load_prices(
-    kind: str, scene: Scene, shadings: Iterable[Shading], software: bool = False
+    name: str, scene: Scene, shadings: Iterable[Shading], software: bool = False
 ) -> Prices:
     """Return the prices of a driver or GPU that given shadings of a scene need.
 
-    Parameters
-    ----------
-    kind : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table; "auto" and "frame" choose
+    name : "llvmpipe", "navi21" (RDNA2) or "vega10" (GCN5) from the table; "auto" and "frame" choose
         llvmpipe if the CPU draws, otherwise navi21; "here" measures on this machine, which takes
         up to a minute
-
-    Raises
-    ------
-    InputError : an unknown kind
-    ContextError : no OpenGL context to measure in
     """
     table = shipped()
-    if kind in (FRAME, "auto"):
-        kind = "llvmpipe" if software else "navi21"
-    if kind in table:
-        return table[kind]
-    check_known("cost", kind, [FRAME, "auto", *table, HERE])
+    if name in (FRAME, "auto"):
+        name = "llvmpipe" if software else "navi21"
+    if name in table:
+        return table[name]
+    check_known("cost", name, [FRAME, "auto", *table, HERE])
     terms: dict[str, Term] = {}
     seconds: dict[str, Term] = {}
     two_lobes = any(material.two_lobes for material in scene.mesh.materials)
@@ -407,7 +347,7 @@ def load_prices(
 def shipped() -> dict[str, Prices]:
     """Return the prices of the table ``prices.json``, keyed by driver or GPU."""
     table = json.loads(TABLE.read_text(encoding="utf-8"))
-    return {kind: Prices(**prices) for kind, prices in table.items()}
+    return {driver: Prices(**prices) for driver, prices in table.items()}
 
 
 def term_name(term: Term, smallest_m: float) -> str:
@@ -424,10 +364,8 @@ def term_name(term: Term, smallest_m: float) -> str:
 
 
 def second_name(term: Term, smallest_m: float) -> str:
-    """Return the key of a term's second lobe in :attr:`Prices.terms`.
-
-    Both lobes of a term share its Fresnel and masking terms, so the key excludes these.
-    """
+    """Return the key of a term's second lobe in :attr:`Prices.terms`."""
+    # Both lobes share the Fresnel and masking terms, so the key excludes these.
     return f"second lobe of {term_name(_unfactored(term), smallest_m)}"
 
 
@@ -446,9 +384,7 @@ def variants(term: Term) -> dict[str, Term]:
 def second_variants(term: Term) -> dict[str, Term]:
     """Return terms whose second lobes cost the same as the second lobes of a term's variants,
     keyed by :func:`second_name`."""
-    return {
-        second_name(variant, SLOPE): _unfactored(variant) for variant in variants(term).values()
-    }
+    return {second_name(other, SLOPE): _unfactored(other) for other in variants(term).values()}
 
 
 def second_lobes(two: Terms, one: Terms, seconds: Mapping[str, Term]) -> dict[str, Pair]:
@@ -465,11 +401,8 @@ def without_specular(parts: Mapping[str, float]) -> dict[str, float]:
 def measured(
     terms: Mapping[str, Term], repeats: int = 7, seconds: Mapping[str, Term] | None = None
 ) -> Prices:
-    """Measure the price of every part and every specular term on this machine. Raises ContextError
-    without an OpenGL context.
+    """Measure the price of every part and every specular term on this machine.
 
-    Parameters
-    ----------
     terms : keyed by :func:`term_name`
     seconds : terms whose second lobes are priced, keyed by :func:`second_name`; ``terms`` also
         contains each of these

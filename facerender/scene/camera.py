@@ -9,23 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_type, short_repr, shown
-from facerender.values.ranges import IntegerRange, Range, SizeRange, check_fields, ranged
-from facerender.values.vectors import (
-    AZIMUTHS,
-    ELEVATIONS,
-    POSITIONS,
-    Vector,
-    numbers_in,
-    pyrr_rotations,
-)
+from facerender.errors import InputError, quoted
+from facerender.values import vectors
+from facerender.values.fields import TEXT, Choice, IntegerRange, Limits, Range, build, field, record
+from facerender.values.vectors import AZIMUTHS, ELEVATIONS, IMAGE_SIZES, POSITIONS, Vector
 
 Float = NDArray[np.float64]
 Coefficients = tuple[float, ...]
@@ -39,9 +33,9 @@ def distort(points: Float, coefficients: Coefficients) -> Float:
     """Return distorted points (N, 2); NaN at and beyond the fold, where several points would have
     the same distorted point."""
     with np.errstate(all="ignore"):
-        distorted, slopes = _distorted(points, coefficients)
+        distorted, _, determinant = _distorted(points, coefficients)
         square = np.einsum("ni,ni->n", points, points)
-    distorted[~((_determinant(slopes) > 0.0) & (square < fold(coefficients) ** 2))] = np.nan
+    distorted[~((determinant > 0.0) & (square < fold(coefficients) ** 2))] = np.nan
     return distorted
 
 
@@ -51,23 +45,24 @@ def jacobian(points: Float, coefficients: Coefficients) -> Float:
 
 
 def undistort(points: Float, coefficients: Coefficients) -> Float:
-    """Return the points (N, 2) whose distorted points are given; NaN if there are none.
-
-    The residual is at most 1e-12, relative to 1 + the length of the point.
-    """
+    """Return the points (N, 2) whose distorted points are given; NaN if there are none."""
     if not len(points):
         return points
     with np.errstate(all="ignore"):
-        radii = np.hypot(*points.T)
-        table = _radii(coefficients, float(radii.max()))
+        radii, limit = np.hypot(*points.T), fold(coefficients)
+        end = max(float(radii.max()), 1e-9)
+        # The table must contain all points, but end below the fold, where it would not increase.
+        while end < limit and _radial(np.array(end), coefficients) < radii.max():
+            end *= 2.0
+        table = np.linspace(0.0, min(end, limit), _TABLE, endpoint=end < limit)
         start = np.interp(radii, _radial(table, coefficients), table)
         solution = points * np.where(radii > 0.0, start / radii, 1.0)[:, None]
         for _ in range(_STEPS):
-            distorted, slopes = _distorted(solution, coefficients)
+            distorted, slopes, determinant = _distorted(solution, coefficients)
             residual = distorted - points
-            (x, y), ((a, b), (c, d)) = residual.T, np.moveaxis(slopes, 0, -1)
-            steps = np.stack([d * x - b * y, a * y - c * x], axis=-1)
-            solution = solution - steps / _determinant(slopes)[:, None]
+            (x, y), (a, b, _, d) = residual.T, slopes.reshape(-1, 4).T
+            steps = np.stack([d * x - b * y, a * y - b * x], axis=-1)
+            solution = solution - steps / determinant[:, None]
             if np.nanmax(np.abs(residual), initial=0.0) < 1e-15:
                 break
         residual = np.abs(distort(solution, coefficients) - points).max(axis=-1)
@@ -96,16 +91,8 @@ def _radial(radii: Float, coefficients: Coefficients) -> Float:
     return np.asarray(radii * upper(radii**2) / lower(radii**2))
 
 
-def _radii(coefficients: Coefficients, largest: float) -> Float:
-    """Return increasing radii up to one whose distorted radius is `largest`, but below the fold."""
-    limit, end = fold(coefficients), max(largest, 1e-9)
-    while end < limit and _radial(np.array(end), coefficients) < largest:
-        end *= 2.0
-    return np.linspace(0.0, min(end, limit), _TABLE, endpoint=end < limit)
-
-
-def _distorted(points: Float, coefficients: Coefficients) -> tuple[Float, Float]:
-    """Return distorted points (N, 2) and their derivatives by the given points, (N, 2, 2)."""
+def _distorted(points: Float, coefficients: Coefficients) -> tuple[Float, Float, Float]:
+    """Return distorted points (N, 2), their derivatives by the points, and the determinants."""
     _, _, p1, p2, *_ = coefficients
     upper, lower = _polynomials(coefficients)
     x, y = points.T
@@ -114,92 +101,143 @@ def _distorted(points: Float, coefficients: Coefficients) -> tuple[Float, Float]
     factor = above / below
     # Derivative of the factor by r^2, doubled.
     change = 2.0 * (upper.deriv()(square) - factor * lower.deriv()(square)) / below
-    distorted = np.empty((len(points), 2))
-    distorted[:, 0] = x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-    distorted[:, 1] = y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
-    slopes = np.empty((len(points), 2, 2))
-    slopes[:, 0, 0] = factor + x * x * change + 2.0 * p1 * y + 6.0 * p2 * x
-    slopes[:, 0, 1] = slopes[:, 1, 0] = x * y * change + 2.0 * (p1 * x + p2 * y)
-    slopes[:, 1, 1] = factor + y * y * change + 6.0 * p1 * y + 2.0 * p2 * x
-    return distorted, slopes
+    across = x * factor + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+    down = y * factor + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
+    a = factor + x * x * change + 2.0 * p1 * y + 6.0 * p2 * x
+    b = x * y * change + 2.0 * (p1 * x + p2 * y)
+    d = factor + y * y * change + 6.0 * p1 * y + 2.0 * p2 * x
+    slopes = np.stack([a, b, b, d], axis=-1).reshape(-1, 2, 2)
+    return np.stack([across, down], axis=-1), slopes, a * d - b * b
 
 
-def _determinant(slopes: Float) -> Float:
-    return np.asarray(slopes[:, 0, 0] * slopes[:, 1, 1] - slopes[:, 0, 1] * slopes[:, 1, 0])
-
-
-Frame = Literal["auto", "all", "head", "face", "eyes"]
-Pose = tuple[float, float, float, float]
-Matrix = NDArray[np.float64]
+RegionName = Literal["auto", "all", "head", "face", "eyes"]
+Row = tuple[float, float, float, float]
 Size = int | tuple[int, int]
 
-FRAMES: tuple[Frame, ...] = get_args(Frame)
+FRAMES: tuple[RegionName, ...] = get_args(RegionName)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
-# Texts that parse_camera accepts, for messages and help.
+# Texts that Camera.parse accepts, for messages and help.
 ORBITS = f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
 CAMERA_FILES = (".toml", ".json", ".npz")
-MOST_CAMERAS = 100_000
+MAX_CAMERAS = 100_000
 TURNS = IntegerRange(1, 3600)  # views of a turntable: steps of at least 0.1 degrees
-DISTORTIONS = (4, 5, 8)  # possible numbers of distortion coefficients
-_COEFFICIENTS, _ZERO = Range(-1e6, 1e6), Range(0.0, 0.0)
 _CHECKED = 33  # points per side of the grid on which the distortion is checked
 _NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because users may round R
-# Fields that must keep their defaults if extrinsics, or a position, are given. A camera with a
-# position uses its azimuth only if it looks straight up or down; view_of() checks that.
-_PLACED = ("azimuth", "elevation", "zoom", "target", "position", "frame")
-_ORBITING = ("elevation", "zoom")
-_SIZES = SizeRange(1, 1 << 30, "pixels")
 # Last rows of matrices for column vectors, and last columns of matrices for row vectors.
 _AFFINE, _PERSPECTIVE = (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, -1.0, 0.0)
 _FLIP = np.array([1.0, -1.0, -1.0])  # between the axes of OpenGL's and OpenCV's camera spaces
 
 
+class _Azimuths(Range):
+    """The azimuths of cameras: a number, or a name."""
+
+    def check(self, name: str, value: Any) -> Any:
+        if isinstance(value, str):
+            if value not in AZIMUTHS_BY_NAME:
+                names = ", ".join(AZIMUTHS_BY_NAME)
+                remedy = f"give a number in [{self.low:g}, {self.high:g}], or {names}"
+                raise InputError(f"{name} = {quoted(value)} is not a number: {remedy}")
+            value = AZIMUTHS_BY_NAME[value]
+        return super().check(name, value)
+
+
 @dataclass(frozen=True)
+class _Rows(Limits):
+    """A matrix with three rows."""
+
+    columns: int
+
+    def check(self, name: str, value: Any) -> Any:
+        return tuple(map(tuple, _numbers(name, value, (3, self.columns)).tolist()))
+
+
+class _Distortion(Range):
+    """Coefficients of a lens distortion: 4, 5 or 8 numbers; only zeros stand for None."""
+
+    def check(self, name: str, value: Any) -> Any:
+        values = value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        numbers = [*values] if isinstance(values, tuple | list) else []
+        while len(numbers) > 8 and numbers[-1] in Range(0.0, 0.0):
+            numbers.pop()  # OpenCV appends zeros for thin prism and tilt
+        if len(numbers) not in (4, 5, 8):
+            form = "4, 5 or 8 numbers, k1, k2, p1, p2, k3 to k6, without thin prism and tilt"
+            raise InputError(f"{name} = {quoted(value)}: give {form}")
+        if not all(number in self for number in numbers):
+            bounds = f"[{self.low:g}, {self.high:g}]"
+            raise InputError(f"{name} = {quoted(value)}: give numbers in {bounds}")
+        return tuple(map(float, numbers)) if any(numbers) else None
+
+
+@record("camera ")
 class Camera:
-    """A perspective camera that orbits and frames the mesh, or has a given position.
+    """A perspective camera that orbits and frames the mesh, or has a position."""
 
-    Parameters
-    ----------
-    azimuth, elevation : direction from the target to the camera, in degrees. At azimuth 0 and
-        elevation 0 the camera sees the face; at azimuth 90 it sees the side at +x. The azimuth may
-        be a name: "front", "three-quarter" (-35) or "profile" (90)
-    fov : vertical field of view, degrees in [1, 150]
-    zoom : magnification; at 1, the framed region fits into the image at every azimuth
-    target : point at the centre of the image; None for the centre of the framed region
-    position : position of the camera; None to orbit the target. Excludes elevation and zoom, with a
-        target also frame, and azimuth unless the camera looks straight up or down
-    frame : region to frame: "all" (the whole mesh), "head", "face" (from hairline to chin) or
-        "auto": the head if the mesh is clearly larger than the head that is found in it, otherwise
-        the whole mesh; see ``facerender.mesh.framing``
-    extrinsics : matrix [R|t], (3, 4), that maps mesh space to OpenCV's camera space: camera at 0, x
-        to the right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target,
-        position and frame
-    intrinsics : matrix K, (3, 3), that maps camera space to pixels of an image of ``size``;
-        replaces fov. The image's top left corner is (0, 0); its first pixel's centre is (0.5, 0.5).
-        Add 0.5 to cx and cy if a calibration, such as OpenCV's, has that centre at (0, 0)
-    size : width and height of the image that intrinsics refer to; rendered images need the same
-        aspect ratio
-    distortion : lens distortion of OpenCV's model, (k1, k2, p1, p2[, k3[, k4, k5, k6]]), each in
-        [-1e6, 1e6]; needs intrinsics. None (default) or only zeros: no distortion. The distortion
-        must be invertible in the whole image
-    name : name of the view, which the files of several views may contain; default ""
-    """
-
-    azimuth: float = ranged(AZIMUTHS, 0.0)
-    elevation: float = ranged(ELEVATIONS, 0.0)
-    fov: float = ranged(Range(1.0, 150.0, "degrees"), 25.0)
-    zoom: float = ranged(Range(0.01, 1000.0), 1.0)
-    target: Vector | None = ranged(POSITIONS, None)
-    position: Vector | None = ranged(POSITIONS, None)
-    frame: Frame = "auto"
-    extrinsics: tuple[Pose, Pose, Pose] | None = None
-    intrinsics: tuple[Vector, Vector, Vector] | None = None
-    size: tuple[int, int] | None = ranged(_SIZES, None)
-    distortion: tuple[float, ...] | None = None
+    azimuth: float = field(
+        _Azimuths(**vars(AZIMUTHS)),
+        0.0,
+        "direction from the target to the camera: at azimuth 0 and elevation 0 the camera sees the "
+        'face, at azimuth 90 the side at +x. Also a name: "front", "three-quarter" (-35) or '
+        '"profile" (90)',
+    )
+    elevation: float = field(
+        ELEVATIONS, 0.0, "direction from the target to the camera; at 90 it looks down"
+    )
+    fov: float = field(Range(1.0, 150.0, "degrees"), 25.0, "vertical angle of view")
+    zoom: float = field(
+        Range(0.01, 1000.0),
+        1.0,
+        "magnification; at 1, the framed region fits into the image at every azimuth",
+    )
+    target: Vector | None = field(
+        POSITIONS, None, "point at the centre of the image", unset="the centre of --frame"
+    )
+    position: Vector | None = field(
+        POSITIONS,
+        None,
+        "position of the camera; None to orbit the target. Excludes elevation and zoom, with a "
+        "target also frame, and azimuth unless the camera looks straight up or down",
+    )
+    frame: RegionName = field(
+        Choice(FRAMES),
+        "auto",
+        "region of the mesh that an orbiting camera frames",
+        "auto is the head if a face is found on a clearly larger mesh, otherwise all. Without a "
+        "face on the surface, names of parts and joints, or else the outline, define the head",
+    )
+    extrinsics: tuple[Row, Row, Row] | None = field(
+        _Rows(4),
+        None,
+        "matrix [R|t], (3, 4), that maps mesh space to OpenCV's camera space: camera at 0, x to "
+        "the right, y down, z forward, t in mesh units. Replaces azimuth, elevation, zoom, target, "
+        "position and frame",
+    )
+    intrinsics: tuple[Vector, Vector, Vector] | None = field(
+        _Rows(3),
+        None,
+        "matrix K, (3, 3), that maps camera space to pixels of an image of ``size``; replaces fov. "
+        "The image's top left corner is (0, 0); its first pixel's centre is (0.5, 0.5). Add 0.5 to "
+        "cx and cy if a calibration, such as OpenCV's, has that centre at (0, 0)",
+    )
+    size: tuple[int, int] | None = field(
+        IMAGE_SIZES,
+        None,
+        "width and height of the image that intrinsics refer to; rendered images need the same "
+        "aspect ratio",
+    )
+    distortion: tuple[float, ...] | None = field(
+        _Distortion(-1e6, 1e6),
+        None,
+        "lens distortion of OpenCV's model, (k1, k2, p1, p2[, k3[, k4, k5, k6]]); needs "
+        "intrinsics. It must be invertible in the whole image",
+    )
     # Not part of the view: equal views have equal metadata.
-    name: str = field(default="", repr=False, compare=False)
-
-    __repr__ = short_repr
+    name: str = field(
+        TEXT,
+        "",
+        "name of the view, which the files of several views may contain",
+        repr=False,
+        compare=False,
+    )
 
     if TYPE_CHECKING:
 
@@ -211,13 +249,25 @@ class Camera:
             zoom: float = ...,
             target: Vector | None = ...,
             position: Vector | None = ...,
-            frame: Frame = ...,
-            extrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
-            intrinsics: Sequence[Sequence[float]] | Matrix | None = ...,
+            frame: RegionName = ...,
+            extrinsics: Sequence[Sequence[float]] | Float | None = ...,
+            intrinsics: Sequence[Sequence[float]] | Float | None = ...,
             size: int | tuple[int, int] | None = ...,
-            distortion: Sequence[float] | Matrix | None = ...,
+            distortion: Sequence[float] | Float | None = ...,
             name: str = ...,
         ) -> None: ...
+
+    @classmethod
+    def parse(cls, text: str, texts: str = ORBITS) -> dict[str, float]:
+        """Return the fields of an orbiting camera from ``AZIMUTH[,ELEVATION[,ZOOM]]``; AZIMUTH may
+        be a name. Raises InputError, which lists the accepted ``texts``, for another text."""
+        if text in AZIMUTHS_BY_NAME:
+            return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
+        azimuth, *words = text.split(",")
+        numbers = vectors.numbers_in([str(AZIMUTHS_BY_NAME.get(azimuth, azimuth)), *words])
+        if not 1 <= len(numbers) <= 3:
+            raise InputError(f"unknown camera {quoted(text)}; give {texts}")
+        return dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
 
     @classmethod
     def from_opencv(
@@ -272,98 +322,53 @@ class Camera:
         if position is None:
             pose = _for_columns("camera matrix", matrix, _AFFINE, row_vectors)
         else:
-            place = _numbers("camera position", position, (3,))
-            pose = np.column_stack([_rotation("camera matrix", matrix, (4,)), place])
+            center = _numbers("camera position", position, (3,))
+            pose = np.column_stack([_rotation("camera matrix", matrix, (4,)), center])
         pose, lens = world_to_camera(pose), _lens(projection, size, row_vectors)
         return cls(extrinsics=pose, size=size, **lens, **fields)
 
     def __post_init__(self) -> None:
-        azimuth: Any = self.azimuth
-        if isinstance(azimuth, str):
-            if azimuth not in AZIMUTHS_BY_NAME:
-                bounds = f"[{AZIMUTHS.low:g}, {AZIMUTHS.high:g}]"
-                remedy = f"give a number in {bounds}, or {', '.join(AZIMUTHS_BY_NAME)}"
-                raise InputError(f"camera azimuth = {shown(azimuth)} is not a number: {remedy}")
-            object.__setattr__(self, "azimuth", AZIMUTHS_BY_NAME[azimuth])
-        check_fields(self, "camera ")
-        check_type("camera name", self.name, str, "text")
-        for name in ("azimuth", "elevation", "fov", "zoom"):
-            object.__setattr__(self, name, float(getattr(self, name)))
-        if not (isinstance(self.frame, str) and self.frame in FRAMES):
-            raise InputError(f"camera frame = {shown(self.frame)}: give {', '.join(FRAMES)}")
-        for name, columns in (("extrinsics", 4), ("intrinsics", 3)):
-            if (matrix := getattr(self, name)) is not None:
-                rows = _numbers(f"camera {name}", matrix, (3, columns)).tolist()
-                object.__setattr__(self, name, tuple(map(tuple, rows)))
         if self.extrinsics is not None:
-            self._check_extrinsics()
+            rotation = np.array(self.extrinsics)[:, :3]
+            off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+            if off > _NOT_ROTATED or np.linalg.det(rotation) < 0.0:
+                axes = "whose rows are orthogonal unit vectors: x to the right, y down, z forward"
+                form = f"[R|t] with a rotation R, {axes}"
+                raise InputError(f"camera extrinsics = {quoted(self.extrinsics)}: give {form}")
+            orbit = "azimuth", "elevation", "zoom", "target", "position", "frame"
+            self._check_unused(orbit, "extrinsics")
         elif self.position is not None:
-            unused = _ORBITING if self.target is None else (*_ORBITING, "frame")
-            self._check_unused(unused, "position")
+            # The azimuth counts if the camera looks straight up or down; view_of() checks that.
+            framing = ("elevation", "zoom") + ("frame",) * (self.target is not None)
+            self._check_unused(framing, "position")
         if (self.intrinsics is None) != (self.size is None):
             raise InputError("camera intrinsics and camera size belong together: give both")
-        if self.intrinsics is not None:
-            self._check_intrinsics()
+        if self.intrinsics is not None and self.size is not None:
+            self._check_intrinsics(self.size)
         if self.distortion is not None:
-            self._check_distortion()
-
-    def _check_extrinsics(self) -> None:
-        turn = np.array(self.extrinsics)[:, :3]
-        off = np.abs(turn @ turn.T - np.eye(3)).max()
-        if off > _NOT_ROTATED or np.linalg.det(turn) < 0.0:
-            raise InputError(
-                f"camera extrinsics = {shown(self.extrinsics)}: give [R|t] with a rotation R, "
-                "whose rows are orthogonal unit vectors: x to the right, y down, z forward"
-            )
-        self._check_unused(_PLACED, "extrinsics")
+            self._check_distortion(self.distortion)
 
     def _check_unused(self, names: Sequence[str], placement: str) -> None:
         for name in names:
             if (value := getattr(self, name)) != getattr(Camera, name):
-                pair = f"camera {name} = {shown(value)} and {placement}"
+                pair = f"camera {name} = {quoted(value)} and {placement}"
                 raise InputError(f"{pair} exclude each other: leave one out")
 
-    def _check_intrinsics(self) -> None:
+    def _check_intrinsics(self, size: tuple[int, int]) -> None:
         if self.extrinsics is None:
             raise InputError("camera intrinsics need extrinsics: give [R|t] as well")
         self._check_unused(("fov",), "intrinsics")
-        assert self.size is not None
-        width, height = self.size
-        k = np.array(self.intrinsics)
-        focal, middle = k[[0, 1], [0, 1]] / (width, height), k[:2, 2] / (width, height)
+        k, start = np.array(self.intrinsics), f"camera intrinsics = {quoted(self.intrinsics)}: give"
+        focal, middle = k[[0, 1], [0, 1]] / size, k[:2, 2] / size
         if k[2].tolist() != [0.0, 0.0, 1.0] or k[0, 1] or k[1, 0]:
-            raise InputError(
-                f"camera intrinsics = {shown(self.intrinsics)}: give [[fx, 0, cx], [0, fy, cy], "
-                "[0, 0, 1]], without skew"
-            )
+            raise InputError(f"{start} [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], without skew")
         if not ((focal >= 1e-3) & (focal <= 1e4)).all() or np.abs(middle).max() > 1e3:
-            raise InputError(
-                f"camera intrinsics = {shown(self.intrinsics)}: give fx and fy from 0.001 to 10000 "
-                f"times and cx and cy up to 1000 times the image size of {width} x {height} pixels"
-            )
+            bounds = "fx and fy from 0.001 to 10000 times and cx and cy up to 1000 times"
+            raise InputError(f"{start} {bounds} the image size of {size[0]} x {size[1]} pixels")
 
-    def _check_distortion(self) -> None:
-        distortion: Any = self.distortion
-        values = distortion.ravel().tolist() if isinstance(distortion, np.ndarray) else distortion
-        numbers = [*values] if isinstance(values, tuple | list) else []
-        while len(numbers) > max(DISTORTIONS) and numbers[-1] in _ZERO:
-            numbers.pop()  # OpenCV appends zeros for thin prism and tilt
-        if len(numbers) not in DISTORTIONS:
-            raise InputError(
-                f"camera distortion = {shown(distortion)}: give 4, 5 or 8 numbers, k1, k2, p1, p2, "
-                "k3 to k6, without thin prism and tilt"
-            )
-        if not all(number in _COEFFICIENTS for number in numbers):
-            raise InputError(
-                f"camera distortion = {shown(distortion)}: give numbers in [{_COEFFICIENTS.low:g}, "
-                f"{_COEFFICIENTS.high:g}]"
-            )
+    def _check_distortion(self, coefficients: Coefficients) -> None:
         if self.intrinsics is None or self.size is None:
             raise InputError("camera distortion needs intrinsics: give K, [R|t] and size as well")
-        coefficients = tuple(map(float, numbers))
-        object.__setattr__(self, "distortion", coefficients if any(numbers) else None)
-        if self.distortion is None:
-            return
         (fx, _, cx), (_, fy, cy), _ = self.intrinsics
         across, down = (np.linspace(0.0, side, _CHECKED) for side in self.size)
         grid = np.stack(np.meshgrid((across - cx) / fx, (down - cy) / fy), axis=-1).reshape(-1, 2)
@@ -371,10 +376,10 @@ class Camera:
         if lost.any():
             nearest = float(np.hypot(*(grid[lost] * (fx, fy)).T).min())
             raise InputError(
-                f"camera distortion = {shown(coefficients)} is not invertible {nearest:.0f} "
+                f"camera distortion = {quoted(coefficients)} is not invertible {nearest:.0f} "
                 "pixels from the principal point, inside the image of "
-                f"{self.size[0]} x {self.size[1]}: crop the image, or calibrate with points up "
-                "to its corners"
+                f"{self.size[0]} x {self.size[1]}: crop the image, or calibrate with points up to "
+                "its corners"
             )
 
 
@@ -390,23 +395,22 @@ def _lens(projection: Any, size: Any, row_vectors: bool | None) -> dict[str, Any
         return {}
     matrix = _for_columns("camera projection", projection, _PERSPECTIVE, row_vectors)
     if matrix[:2, 3].any():
-        raise InputError(f"camera projection = {shown(projection)}: give it without translation")
-    half = np.divide(_SIZES.check("camera size", size), 2.0)
+        raise InputError(f"camera projection = {quoted(projection)}: give it without translation")
+    half = np.divide(IMAGE_SIZES.check("camera size", size), 2.0)
     k = np.eye(3)
     k[:2, :2] = half[:, None] * matrix[:2, :2]
     k[:2, 2] = half * (1.0 + matrix[:2, 2] * (-1.0, 1.0))
     return {"intrinsics": k}
 
 
-def _for_columns(name: str, value: Any, last: Pose, row_vectors: bool | None) -> Float:
+def _for_columns(name: str, value: Any, last: Row, row_vectors: bool | None) -> Float:
     """Return a matrix (4, 4) for column vectors, whose last row is ``last``."""
-    check_type("row_vectors", row_vectors, bool | None, "true or false")
     matrix = _numbers(name, value, (4, 4))
     several = {False: [matrix], True: [matrix.T], None: [matrix, matrix.T]}[row_vectors]
     fits = [columns for columns in several if np.allclose(columns[3], last)]
     if not fits or not np.array_equal(fits[0], fits[-1]):
         remedy = "row_vectors=True or False" if fits else f"a last row (or last column) {last}"
-        raise InputError(f"{name} = {shown(value)}: give {remedy}")
+        raise InputError(f"{name} = {quoted(value)}: give {remedy}")
     return fits[0]
 
 
@@ -415,8 +419,8 @@ def _rotation(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
     if (rotation := _numbers(name, value, *shapes)).ndim == 2:
         return rotation
     if abs(np.linalg.norm(rotation) - 1.0) > _NOT_ROTATED:
-        raise InputError(f"{name} = {shown(value)}: give a quaternion of length 1")
-    return np.asarray(pyrr_rotations().create_from_quaternion(rotation, dtype=np.float64))
+        raise InputError(f"{name} = {quoted(value)}: give a quaternion of length 1")
+    return np.asarray(vectors.pyrr_rotations().create_from_quaternion(rotation, dtype=np.float64))
 
 
 def _numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
@@ -428,7 +432,7 @@ def _numbers(name: str, value: Any, *shapes: tuple[int, ...]) -> Float:
     numeric = array.shape in shapes and array.dtype.kind in "fiu"
     if not (numeric and (np.abs(array) <= POSITIONS.high).all()):
         expected = " or ".join(f"{' rows of '.join(map(str, shape))} numbers" for shape in shapes)
-        raise InputError(f"{name} = {shown(value)}: give {expected}")
+        raise InputError(f"{name} = {quoted(value)}: give {expected}")
     return array.astype(np.float64)
 
 
@@ -443,54 +447,20 @@ def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
     return keyed
 
 
-def orbit_of(text: str, known: str = ORBITS) -> dict[str, float]:
-    """Parse a name of AZIMUTHS_BY_NAME, or ``AZIMUTH[,ELEVATION[,ZOOM]]``, where AZIMUTH may be
-    such a name. Return the fields of an orbiting :class:`Camera`. Raises InputError, with the text
-    ``known`` of the accepted values, if the name is unknown, or the text has another form."""
-    if text in AZIMUTHS_BY_NAME:
-        return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
-    azimuth, *words = text.split(",")
-    numbers = numbers_in([str(AZIMUTHS_BY_NAME.get(azimuth, azimuth)), *words])
-    if not 1 <= len(numbers) <= 3:
-        raise InputError(f"unknown camera {shown(text)}; give {known}")
-    return dict(zip(("azimuth", "elevation", "zoom"), numbers, strict=False))
-
-
-def camera_of(camera: Camera | str) -> Camera:
-    """Return a camera, which may be a text that :func:`orbit_of` parses."""
-    if isinstance(camera, str):
-        return orbiting(Camera(), **orbit_of(camera))
-    check_type("camera", camera, Camera, f"a facerender.Camera, or {ORBITS}")
-    return camera
-
-
-def cameras_of(cameras: Any) -> tuple[Camera, ...]:
-    """Return several cameras or one, each given as in :func:`camera_of`."""
-    several = [cameras] if isinstance(cameras, str | Camera) else cameras
-    if isinstance(several, Iterable):
-        return tuple(map(camera_of, several))
-    raise InputError(f"cameras = {shown(cameras)}: give several facerender.Camera, or {ORBITS}")
-
-
 def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, ...]:
     """Return cameras at equal steps of azimuth around the mesh, at the given camera's elevation.
 
     The first camera has the azimuth of the given camera, which may be a name, as in
     :class:`Scene`. Its position, extrinsics, intrinsics and distortion are not used.
-
-    Raises
-    ------
-    InputError : camera is not a Camera, or count is not a whole number in [1, 3600]
+    Raises InputError unless count is a whole number in [1, 3600].
     """
-    camera = camera_of(camera)
-    count = TURNS.check("count", count)
-    turns = (camera.azimuth + 360.0 * turn / count for turn in range(count))
-    return tuple(orbiting(camera, azimuth=azimuth) for azimuth in turns)
+    first, count = build(Camera, camera, "camera"), TURNS.check("count", count)
+    turns = (first.azimuth + 360.0 * turn / count for turn in range(count))
+    return tuple(orbiting(first, azimuth=azimuth) for azimuth in turns)
 
 
 def orbiting(camera: Camera, **orbit: Any) -> Camera:
     """Return the camera without position, extrinsics, intrinsics and distortion, so that it orbits
     its target, and with the fields ``orbit``, such as azimuth or zoom."""
-    names = ("position", "extrinsics", "intrinsics", "size", "distortion")
-    placed: dict[str, Any] = dict.fromkeys(names)
-    return replace(camera, **placed, **orbit)
+    orbit |= dict.fromkeys(("position", "extrinsics", "intrinsics", "size", "distortion"))
+    return replace(camera, **orbit)

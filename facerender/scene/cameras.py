@@ -14,15 +14,15 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_path, clipped, reason, shown
+from facerender.errors import InputError, clipped, quoted, reason
 from facerender.loading.gltf import scene_nodes
 from facerender.loading.gltf_document import chunks, document_of
 from facerender.loading.source import GLTF
-from facerender.scene.camera import CAMERA_FILES, MOST_CAMERAS, Camera, named, world_to_camera
-from facerender.scene.file import MOST_BYTES, from_table, load_scene
-from facerender.scene.view import SIZES
-from facerender.system.files import MOST, read_file, suffix_of
-from facerender.values.vectors import axes_of
+from facerender.scene.camera import CAMERA_FILES, MAX_CAMERAS, Camera, named, world_to_camera
+from facerender.scene.job import MAX_TEXT_BYTES, load_scene
+from facerender.system.files import read_file, suffix_of
+from facerender.values.fields import PATH, build
+from facerender.values.vectors import IMAGE_SIZES, axes_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
 _VECTORS = ("t", "size", *_DISTORTION)
@@ -55,42 +55,36 @@ def load_cameras(
     up, rotate : as in :func:`facerender.load_mesh`, for cameras in the glTF file of the mesh.
         Cameras of other files are in mesh space
 
-    Raises
-    ------
-    InputError : the file cannot be read, has no camera, or has an invalid camera
+    Raises InputError if the file cannot be read, has no camera, or has an invalid camera.
     """
-    check_path("camera file", path)
-    size = None if size is None else SIZES.check("size", size)
-    suffix = suffix_of(path, (*CAMERA_FILES, *GLTF), "camera", "a camera file")
+    size = None if size is None else IMAGE_SIZES.check("size", size)
+    suffix = suffix_of(
+        PATH.check("camera file", path), (*CAMERA_FILES, *GLTF), "camera", "a camera file"
+    )
     name = clipped(Path(path).name)
     if (axes := axes_of(up, rotate)) is not None and suffix not in GLTF:
         raise InputError(f"{name} is no glTF file: leave up and rotate out, and rotate its cameras")
-    if suffix == ".toml":
-        scene = load_scene(path)
-        single = [scene["camera"]] if "camera" in scene else []
-        cameras = named(scene.get("cameras", single), Path(path).stem)
-    else:
-        content = read_file(path, "a camera file", MOST if suffix in GLTF else MOST_BYTES)
-        try:
-            if suffix in GLTF:
-                return gltf_cameras(content, name, axes)
+    try:
+        if suffix in GLTF:
+            return gltf_cameras(read_file(path, "a camera file"), name, axes)
+        if suffix == ".toml":
+            scene = load_scene(path)
+            cameras = scene.get("cameras", [scene["camera"]] if "camera" in scene else [])
+        else:
+            content = read_file(path, "a camera file", MAX_TEXT_BYTES)
             tables = _json(content, size) if suffix == ".json" else _arrays(content)
-            cameras = named([_camera(table, size) for table in tables], Path(path).stem)
-        except InputError as error:
-            message = str(error)
-            raise InputError(message if name in message else f"{name}: {message}") from None
+            cameras = [_camera(table, size) for table in tables]
+    except InputError as error:
+        message = str(error)
+        raise InputError(message if name in message else f"{name}: {message}") from None
     if not cameras:
         raise InputError(f"{name} has no cameras: add [[cameras]]")
-    return cameras
+    return named(cameras, Path(path).stem)
 
 
 def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) -> dict[str, Camera]:
     """Return the perspective cameras of a glTF scene, keyed by the name of the node or,
-    if the node has no name, by the name of the camera. Raises InputError if the file is damaged,
-    has no camera, or has an orthographic camera.
-
-    axes : see :func:`facerender.values.vectors.axes_of`
-    """
+    if the node has no name, by the name of the camera. For ``axes`` see :func:`axes_of`."""
     document = document_of(chunks(content, name)[0], name)
     cameras = []
     for index, world in scene_nodes(document, name, axes)[1].items():
@@ -100,9 +94,8 @@ def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) ->
         camera = document["cameras"][node["camera"]]
         label = node.get("name") or camera.get("name") or ""
         if "perspective" not in camera:
-            raise InputError(
-                f"camera {shown(label)} of {name} is orthographic: give a perspective one"
-            )
+            cause = f"camera {quoted(label)} of {name} is orthographic"
+            raise InputError(f"{cause}: give a perspective one")
         with np.errstate(all="ignore"):
             pose = world_to_camera(world / [*np.linalg.norm(world[:3, :3], axis=0), 1.0])
         fov = math.degrees(camera["perspective"]["yfov"])
@@ -117,13 +110,13 @@ def _json(content: bytes, size: tuple[int, int] | None) -> list[Any]:
         tables = json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"its JSON cannot be read ({reason(error)})") from None
-    if isinstance(tables, dict) and isinstance(tables.get("frames"), list):
-        tables = [_of_frame(tables, frame, size) for frame in tables["frames"][: MOST_CAMERAS + 1]]
-    elif isinstance(tables, dict):
-        tables = tables.get("cameras", tables)
+    shared = tables if isinstance(tables, dict) else {}
+    tables = shared.get("cameras", tables)
+    if isinstance(frames := shared.get("frames"), list):
+        tables = [_of_frame(shared, frame, size) for frame in frames[: MAX_CAMERAS + 1]]
     tables = tables if isinstance(tables, list) else [tables]
-    if len(tables) > MOST_CAMERAS:
-        raise InputError(f"it has {len(tables)} cameras, but the limit is {MOST_CAMERAS}")
+    if len(tables) > MAX_CAMERAS:
+        raise InputError(f"it has {len(tables)} cameras, but the limit is {MAX_CAMERAS}")
     return tables
 
 
@@ -135,7 +128,7 @@ def _of_frame(shared: dict[str, Any], frame: Any, size: tuple[int, int] | None) 
     model = table.get("camera_model", "OPENCV")
     is_fisheye = table.get("k4") or table.get("is_fisheye")
     if is_fisheye or model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE"):
-        raise InputError(f"camera_model = {shown(model)}, or k4: give OPENCV, without fisheye")
+        raise InputError(f"camera_model = {quoted(model)}, or k4: give OPENCV, without fisheye")
     try:
         pose = world_to_camera(np.array(table["transform_matrix"], dtype=np.float64))
         width, height = float(table["w"]), float(table["h"])
@@ -149,30 +142,27 @@ def _of_frame(shared: dict[str, Any], frame: Any, size: tuple[int, int] | None) 
         lens = {"distortion": coefficients} if any(coefficients) else {}
         return {"K": k, "Rt": pose, "width": int(width), "height": int(height), **lens}
     except (KeyError, IndexError, TypeError, ValueError, ArithmeticError) as error:
-        raise InputError(
-            f"a frame cannot be read ({type(error).__name__} {reason(error)}): give "
-            "transform_matrix, w, h (or --size), and fl_x or camera_angle_x"
-        ) from None
+        cause = f"a frame cannot be read ({type(error).__name__} {reason(error)})"
+        keys = "transform_matrix, w, h (or --size), and fl_x or camera_angle_x"
+        raise InputError(f"{cause}: give {keys}") from None
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:
     """Return a table for each camera of a NumPy file."""
     try:
         with ZipFile(BytesIO(content)) as file:
-            if sum(entry.file_size for entry in file.infolist()) > MOST_BYTES:
-                raise ValueError(f"more than {MOST_BYTES} bytes")
+            if sum(entry.file_size for entry in file.infolist()) > MAX_TEXT_BYTES:
+                raise ValueError(f"more than {MAX_TEXT_BYTES} bytes")
         with np.load(BytesIO(content), allow_pickle=False) as arrays:
             values = {key: np.asarray(arrays[key]) for key in arrays.files}
     except Exception as error:  # NumPy, zipfile and zlib raise many exceptions
         raise InputError(f"it is not a NumPy file ({reason(error)}); write it again") from None
     pose = next((values[key] for key in ("Rt", "R", "extrinsics") if key in values), None)
     if pose is None:
-        raise InputError(
-            f"it has no pose (arrays: {clipped(', '.join(values)) or 'none'}): give K, R and t"
-        )
-    several = pose.ndim == 3
-    count = len(pose) if several else 1
-    tables: list[dict[str, Any]] = [{} for _ in range(min(count, MOST_CAMERAS))]
+        names = clipped(", ".join(values)) or "none"
+        raise InputError(f"it has no pose (arrays: {names}): give K, R and t")
+    count = len(pose) if (several := pose.ndim == 3) else 1
+    tables: list[dict[str, Any]] = [{} for _ in range(min(count, MAX_CAMERAS))]
     for key, value in values.items():
         if key == "t" and value.shape[-1:] == (1,):
             value = value[..., 0]
@@ -182,9 +172,8 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
         depth = 2 if key in _MATRICES else int(key in _VECTORS)
         shared = value.ndim == depth
         if not shared and not (several and value.ndim == depth + 1 and len(value) == count):
-            raise InputError(
-                f"{shown(key)} has {value.ndim} axes: give one matrix, or one per camera"
-            )
+            axes = f"{quoted(key)} has {value.ndim} axes"
+            raise InputError(f"{axes}: give one matrix, or one per camera")
         for i, table in enumerate(tables):
             table[key] = (value if shared else value[i]).tolist()
     return tables
@@ -193,9 +182,9 @@ def _arrays(content: bytes) -> list[dict[str, Any]]:
 def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
     """Convert a table with matrices, or with fields of Camera, to a camera."""
     if not isinstance(table, dict):
-        raise InputError(f"camera = {shown(table)}: give a table")
-    fields = {**table}
-    fields.pop("transform_matrix", None)  # in records of batches, where Rt also holds the pose
+        raise InputError(f"camera = {quoted(table)}: give a table")
+    # Records of batches have transform_matrix in addition to the same pose in Rt.
+    fields = {key: value for key, value in table.items() if key != "transform_matrix"}
     if "R" in fields and "t" in fields:
         try:
             turn, shift = (np.array(fields.pop(key), float) for key in ("R", "t"))
@@ -204,8 +193,8 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
             raise InputError("camera R and t: give 3 x 3 numbers and 3 numbers") from None
     if "Rt" in fields:
         pose = fields.pop("Rt")
-        homogeneous = isinstance(pose, list) and pose[3:] == [[0, 0, 0, 1]]
-        fields["extrinsics"] = pose[:3] if homogeneous else pose
+        is_4x4 = isinstance(pose, list) and pose[3:] == [[0, 0, 0, 1]]
+        fields["extrinsics"] = pose[:3] if is_4x4 else pose
     if "K" in fields:
         fields["intrinsics"] = fields.pop("K")
     for key in _DISTORTION:
@@ -218,5 +207,4 @@ def _camera(table: Any, size: tuple[int, int] | None) -> Camera:
     if "intrinsics" in fields and size is not None:
         fields.setdefault("size", list(size))
     fields["name"] = str(fields.get("name", ""))
-    camera: Camera = from_table(Camera, "camera", fields)
-    return camera
+    return build(Camera, fields, "camera")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from operator import index
 from typing import Any
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, quoted
 from facerender.images.files import MAX_SIDE
 from facerender.mesh.mesh import TRIANGLES
 from facerender.mesh.simplify import simplified
-from facerender.scene.scene import Scene, ShadingRate, check_shading_rate
-from facerender.values.ranges import IntegerRange, check_fields, ranged
+from facerender.scene.scene import SHADING_RATES, Scene, ShadingRate
+from facerender.values.fields import SWITCH, Choice, IntegerRange, SizeRange, field, record
 
 _SAME_SHAPE = 1.01  # tolerance factor on the aspect ratio, because sizes are rounded
 
@@ -49,52 +48,41 @@ class LevelOfDetail:
         return replace(scene, mesh=mesh, before=scene.before and self.of(scene.before))
 
 
-@dataclass(frozen=True)
+class _Sizes(SizeRange):
+    """Several sizes of images."""
+
+    def check(self, name: str, value: Any) -> Any:
+        if not isinstance(value, list | tuple) or not value:
+            raise InputError(f"{name} = {quoted(value)}: give sizes, such as [[512, 512]]")
+        return tuple(super(_Sizes, self).check(name, size) for size in value)
+
+
+@record("planned ")
 class Planned:
-    """The images for which a plan measured its error, and the settings that the plan chose.
+    """The images for which a plan measured its error, and the settings that the plan chose."""
 
-    Parameters
-    ----------
-    sizes : width and height of each image in pixels
-    samples : samples per pixel of these images if drawn without the plan
-    drawn_samples : samples per pixel that the plan draws; None for the value of ``samples``
-    triangles, cull_back_faces, shading_rate : see :class:`LevelOfDetail`
+    sizes: tuple[tuple[int, int], ...] = field(
+        _Sizes(1, MAX_SIDE, "pixels"), text="width and height of each image"
+    )
+    samples: int = field(
+        IntegerRange(1, MAX_SIDE), text="samples per pixel of these images without the plan"
+    )
+    drawn_samples: int | None = field(
+        IntegerRange(1, math.inf),
+        None,
+        "samples per pixel that the plan draws; None for the value of ``samples``",
+    )
+    triangles: int | None = field(TRIANGLES, None, "see :class:`LevelOfDetail`")
+    cull_back_faces: bool = field(SWITCH, False, "see :class:`LevelOfDetail`")
+    shading_rate: ShadingRate = field(
+        Choice(SHADING_RATES), "sample", "see :meth:`facerender.Renderer.render`"
+    )
 
-    Raises
-    ------
-    InputError : invalid sizes or samples
-    """
-
-    sizes: tuple[tuple[int, int], ...]
-    samples: int
-    drawn_samples: int | None = ranged(IntegerRange(1, math.inf), None)
-    triangles: int | None = ranged(TRIANGLES, None)
-    cull_back_faces: bool = False
-    shading_rate: ShadingRate = "sample"
-
-    def __post_init__(self) -> None:
-        try:
-            sizes = tuple((index(width), index(height)) for width, height in self.sizes)
-            numbers = [index(self.samples), *(number for size in sizes for number in size)]
-        except (TypeError, ValueError):
-            numbers = []
-        if len(numbers) < 3 or not 1 <= min(numbers) <= max(numbers) <= MAX_SIDE:
-            raise InputError(
-                f"planned sizes = {shown(self.sizes)}, samples = {shown(self.samples)}: give "
-                f"widths and heights up to {MAX_SIDE}, such as [[512, 512], [1024, 1024]], and a "
-                "number of samples"
-            )
-        check_fields(self, "planned ")
-        check_shading_rate("planned shading_rate", self.shading_rate)
-        object.__setattr__(self, "sizes", sizes)
-
-    def holds(self, size: tuple[int, int], samples: int) -> bool:
-        """Return whether the plan covers an image.
-
-        The samples per pixel must be the planned number; size and aspect ratio must be in the
-        planned ranges. One sample per pixel is also covered if the plan draws all triangles and
-        back faces: that sample is at the pixel's centre, where every plan's error is measured.
-        """
+    def covers(self, size: tuple[int, int], samples: int) -> bool:
+        """Return whether the plan covers an image: its samples per pixel are the planned number,
+        and its size and aspect ratio are in the planned ranges. One sample per pixel is also
+        covered if the plan draws all triangles and back faces."""
+        # One sample is at the pixel's centre, where every plan's error is measured.
         centres = self.triangles is None and not self.cull_back_faces
         widths, heights = zip(*self.sizes, strict=True)
         shapes = [width / height for width, height in self.sizes]

@@ -8,17 +8,26 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_type, clipped, near, shown
+from facerender.errors import InputError, clipped, closest_name, quoted
 from facerender.images.files import MAX_BYTES, check_pixels, png_bytes, read_image
 from facerender.images.image import encode_srgb8
 from facerender.system.files import read_file, suffix_of
-from facerender.values.ranges import Range, check_fields, ranged
-from facerender.values.vectors import AZIMUTHS, MOST_RADIANCE, direction_to, numbers_in
+from facerender.values.fields import (
+    PATH,
+    TEXT,
+    Instance,
+    Range,
+    build,
+    field,
+    field_of,
+    record,
+)
+from facerender.values.vectors import AZIMUTHS, MAX_RADIANCE, direction_to, numbers_in
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -40,35 +49,25 @@ class Panorama:
     radiance : (H, 2 H, 3), linear RGB. The top row is the direction straight up. The middle column
         is +z, the direction in which the face looks. Columns left of the middle have x > 0
 
-    Raises
-    ------
-    InputError : invalid shape, or a radiance that is not a number in [0, 1e9]
+    Raises InputError for an invalid shape, or a radiance that is not a number in [0, 1e9].
     """
 
     name: str
     radiance: Float32
 
     def __post_init__(self) -> None:
-        check_type("name of a panorama", self.name, str, "text")
-        try:
-            radiance = np.asarray(self.radiance, dtype=np.float32)
-        except (TypeError, ValueError, OverflowError):
-            raise InputError(
-                f"environment {self.name} has radiance {shown(self.radiance)}: give an array of "
-                "numbers"
-            ) from None
+        TEXT.check("name of a panorama", self.name)  # scene files contain it
+        radiance = np.asarray(self.radiance, dtype=np.float32)
         if radiance.ndim != 3 or radiance.shape[1:] != (2 * len(radiance), 3) or len(radiance) < 2:
             shape = " x ".join(map(str, radiance.shape[1::-1] + radiance.shape[2:]))
             remedy = "give an RGB image, twice as wide as high"
             raise InputError(f"environment {self.name} has {shape} values: {remedy}")
-        inside = (radiance >= 0.0) & (radiance <= MOST_RADIANCE)
+        inside = (radiance >= 0.0) & (radiance <= MAX_RADIANCE)
         if not inside.all():
             row, column, _ = np.unravel_index(int(inside.argmin()), radiance.shape)
-            worst = radiance[row, column].tolist()
-            raise InputError(
-                f"environment {self.name} has radiance {worst} in column {column} of row {row}:"
-                f" give numbers in [0, {MOST_RADIANCE:g}]"
-            )
+            pixel = f"{radiance[row, column].tolist()} in column {column} of row {row}"
+            remedy = f"give numbers in [0, {MAX_RADIANCE:g}]"
+            raise InputError(f"environment {self.name} has radiance {pixel}: {remedy}")
         object.__setattr__(self, "radiance", radiance)
 
     def __repr__(self) -> str:
@@ -93,13 +92,20 @@ class Panorama:
         """Mip levels of the octahedral map side by side, (SIDE + 2, W, 3). Each level has half the
         side of the previous level, and a border of one texel for filtering at its edges."""
         level, solid_angle = self._octahedron()
-        levels = [_bordered(level)]
-        for _ in range(LEVELS - 1):
-            light, solid_angle = _blocks(level * solid_angle), _blocks(solid_angle)
+        levels = []
+        for _ in range(LEVELS):
+            # On the sphere, the two halves of each edge of the map coincide. So the border is a
+            # copy of the edges in reverse order.
+            mip = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
+            mip = np.concatenate([mip[:1, ::-1], mip, mip[-1:, ::-1]])
+            levels.append(np.pad(mip, ((0, SIDE + 2 - len(mip)), (0, 0), (0, 0))))
+            half = len(level) // 2
+            light, solid_angle = (
+                texels.reshape(half, 2, half, 2, -1).sum(axis=(1, 3))
+                for texels in (level * solid_angle, solid_angle)
+            )
             level = light / solid_angle
-            levels.append(_bordered(level))
-        padded = [np.pad(mip, ((0, SIDE + 2 - len(mip)), (0, 0), (0, 0))) for mip in levels]
-        return np.concatenate(padded, axis=1, dtype=np.float32, casting="same_kind")
+        return np.concatenate(levels, axis=1, dtype=np.float32, casting="same_kind")
 
     @cached_property
     def _resampled(self) -> tuple[Float, Float, Float]:
@@ -113,43 +119,46 @@ class Panorama:
 
     def _octahedron(self) -> tuple[Float, Float]:
         """Return the first mip level (SIDE, SIDE, 3) of the map, and each texel's solid angle."""
+        rows = len(self._resampled[0])
         radiance = np.pad(self._resampled[0], ((1, 1), (0, 0), (0, 0)), "edge")
-        rows = len(radiance) - 2
         radiance = np.pad(radiance, ((0, 0), (1, 1), (0, 0)), "wrap")
         total, weights = np.zeros((SIDE, SIDE, 3)), np.zeros((SIDE, SIDE, 1))
         for i, j in np.ndindex(_INSIDE, _INSIDE):
-            z, x = (2.0 * (np.arange(SIDE) + (k + 0.5) / _INSIDE) / SIDE - 1.0 for k in (i, j))
-            x, y, z, length = _unfolded(x, z[:, None])
-            row = np.arccos(y) / np.pi * rows + 0.5
-            column = (0.5 - np.arctan2(x, z) / (2.0 * np.pi)) * 2 * rows + 0.5
+            v, u = (2.0 * (np.arange(SIDE) + (k + 0.5) / _INSIDE) / SIDE - 1.0 for k in (i, j))
+            v = v[:, None]
+            # The centre of the map is the direction up. The corners, where y < 0, are folded down.
+            y = 1.0 - np.abs(u) - np.abs(v)
+            x, z = (
+                np.where(y < 0.0, (1.0 - np.abs(across)) * np.where(along >= 0.0, 1.0, -1.0), along)
+                for along, across in ((u, v), (v, u))
+            )
+            length = np.sqrt(x * x + y * y + z * z)
+            row = np.arccos(y / length) / np.pi * rows + 0.5
+            column = (0.5 - np.arctan2(x / length, z / length) / (2.0 * np.pi)) * 2 * rows + 0.5
             weight = length[..., None] ** -3
-            total += weight * _between(radiance, row, column)
+            total += weight * _bilinear(radiance, row, column)
             weights += weight
         return total / weights, weights * (2.0 / (SIDE * _INSIDE)) ** 2
 
 
-@dataclass(frozen=True)
+@record("environment ")
 class Environment:
     """An environment map with its rotation and scale.
 
     Parameters
     ----------
     panorama : image of the radiance
-    rotation : rotation about the vertical axis in degrees; added to the panorama's azimuths
-    scale : factor on the radiance; a uniform radiance of 1 shows a white diffuse surface as 1
-
-    Raises
-    ------
-    InputError : a value outside its range
     """
 
-    panorama: Panorama
-    rotation: float = ranged(AZIMUTHS, 0.0)
-    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
-
-    def __post_init__(self) -> None:
-        check_type("panorama", self.panorama, Panorama, "a facerender.Panorama")
-        check_fields(self, "environment ")
+    panorama: Panorama = field(Instance(Panorama, "facerender.load_environment(FILE).panorama"))
+    rotation: float = field(
+        AZIMUTHS, 0.0, "rotation about the vertical axis, added to the panorama's azimuths"
+    )
+    scale: float = field(
+        Range(0.0, MAX_RADIANCE),
+        1.0,
+        "factor on the radiance; a uniform radiance of 1 shows a white diffuse surface as 1",
+    )
 
     @property
     def turn(self) -> Float:
@@ -169,15 +178,13 @@ class Environment:
 
 @lru_cache(maxsize=1)
 def studio() -> Panorama:
-    """Return the panorama of a dim room with three lights. For a camera in front of the face, a
-    large soft box is at the upper left, a strip light at the right, a rim light behind the face.
-    """
+    """Return the panorama of a dim room with three lights, as seen from in front of the face."""
     directions = _directions(128)
     room = np.array([0.060, 0.066, 0.072]) * (1.2 + 0.8 * directions[..., 1:2])
     for azimuth, elevation, width, height, color in (
-        (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),
-        (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),
-        (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),
+        (-48.0, 38.0, 0.45, 0.6, (4.4, 4.2, 3.9)),  # a large soft box at the upper left
+        (70.0, 8.0, 0.22, 0.9, (1.2, 1.3, 1.4)),  # a strip light at the right
+        (145.0, 30.0, 0.2, 0.7, (3.2, 3.3, 3.6)),  # a rim light behind the face
     ):
         center = direction_to(azimuth, elevation)
         right = np.cross([0.0, 1.0, 0.0], center)
@@ -199,19 +206,6 @@ def _directions(rows: int) -> Float:
     return np.stack([across * np.sin(azimuth), up, across * np.cos(azimuth)], axis=-1)
 
 
-def _unfolded(x: Float, z: Float) -> tuple[Float, Float, Float, Float]:
-    """Convert points x, z in [-1, 1] on an octahedral map to unit directions x, y, z. Also return
-    the distance from the octahedron's centre to its surface in each direction."""
-    y = 1.0 - np.abs(x) - np.abs(z)
-    folded = y < 0.0
-    x, z = (
-        np.where(folded, (1.0 - np.abs(across)) * np.where(along >= 0.0, 1.0, -1.0), along)
-        for along, across in ((x, z), (z, x))
-    )
-    length = np.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length, length
-
-
 def _means(values: NDArray[np.floating], edges: Float, target_edges: Float) -> Float:
     """Return, for each interval [target_edges[j], target_edges[j + 1]], the mean of the rows of
     ``values``. Row i spans the interval [edges[i], edges[i + 1]]."""
@@ -225,7 +219,7 @@ def _means(values: NDArray[np.floating], edges: Float, target_edges: Float) -> F
     return means
 
 
-def _between(texels: Float, row: Float, column: Float) -> Float:
+def _bilinear(texels: Float, row: Float, column: Float) -> Float:
     i, j = np.floor(row).astype(int), np.floor(column).astype(int)
     down, right = (row - i)[..., None], (column - j)[..., None]
     upper = (1.0 - right) * texels[i, j] + right * texels[i, j + 1]
@@ -233,70 +227,29 @@ def _between(texels: Float, row: Float, column: Float) -> Float:
     return np.asarray((1.0 - down) * upper + down * lower)
 
 
-def _blocks(texels: Float) -> Float:
-    """Return the sum of each block of 2 x 2 texels."""
-    half = len(texels) // 2
-    return np.asarray(texels.reshape(half, 2, half, 2, -1).sum(axis=(1, 3)))
-
-
-def _bordered(level: Float) -> Float:
-    """Add a border of one texel to a mip level: copies of its edges in reverse order. On the sphere
-    the two halves of each edge of an octahedral map coincide."""
-    beside = np.concatenate([level[:, :1][::-1], level, level[:, -1:][::-1]], axis=1)
-    return np.concatenate([beside[:1, ::-1], beside, beside[-1:, ::-1]])
-
-
-@dataclass(frozen=True)
+@record("environment ")
 class EnvironmentFile:
-    """Path, rotation and scale of an environment map.
+    """Path, rotation and scale of an environment map."""
 
-    Parameters
-    ----------
-    file : path of a .hdr, .exr, .npy or .npz, or "studio" for the procedural environment map
-    rotation, scale : see :class:`Environment`
-    """
+    file: str = field(PATH, text=f'a .hdr, .exr, .npy or .npz, or "{STUDIO}"')
+    rotation: float = field_of(Environment, "rotation")
+    scale: float = field_of(Environment, "scale")
 
-    file: str
-    rotation: float = ranged(AZIMUTHS, 0.0)
-    scale: float = ranged(Range(0.0, MOST_RADIANCE), 1.0)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.file, str | os.PathLike) or not os.fspath(self.file):
-            raise InputError(f"environment file = {shown(self.file)}: give a path, or {STUDIO}")
-        object.__setattr__(self, "file", os.fspath(self.file))
-        check_fields(self, "environment ")
-
-
-def parse_environment(text: str) -> EnvironmentFile:
-    """Parse an environment map from the text ``FILE[,ROTATION[,SCALE]]``. Raises InputError if the
-    text has another form, or a value is outside its range."""
-    file, *words = text.split(",")
-    numbers = numbers_in(words)
-    if len(numbers) != len(words) or len(words) > 2:
-        raise InputError(
-            f"environment {shown(text)}: give FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} "
-            "and ROTATION is in degrees"
-        )
-    return EnvironmentFile(file, *numbers)
-
-
-def environment_file(value: EnvironmentFile | str | os.PathLike[str]) -> EnvironmentFile:
-    """Return the file of an environment map, given as an :class:`EnvironmentFile`, as a path, or as
-    a text that :func:`parse_environment` parses. Raises InputError for a value of another type, and
-    the errors of :func:`parse_environment`."""
-    if isinstance(value, str):
-        return parse_environment(value)
-    if isinstance(value, os.PathLike):
-        return EnvironmentFile(os.fspath(value))
-    remedy = f"a path, {STUDIO}, or a facerender.EnvironmentFile"
-    check_type("environment", value, EnvironmentFile, remedy)
-    return value
+    @classmethod
+    def parse(cls, text: str) -> dict[str, Any]:
+        """Return the fields from the text ``FILE[,ROTATION[,SCALE]]``."""
+        file, *words = text.split(",")
+        numbers = numbers_in(words)
+        if len(numbers) != len(words) or len(words) > 2:
+            form = f"FILE[,ROTATION[,SCALE]], where FILE may be {STUDIO} and ROTATION is in degrees"
+            raise InputError(f"environment {quoted(text)}: give {form}")
+        return dict(zip(("file", "rotation", "scale"), [file, *numbers], strict=False))
 
 
 def wanted(file: str) -> str:
     """Return the description of the expected file for messages, first a name like ``file``."""
     maps = f"an environment map ({', '.join(_SUFFIXES)})"
-    return f"{STUDIO}, or {maps}" if near(file, [STUDIO]) else f"{maps}, or {STUDIO}"
+    return f"{STUDIO}, or {maps}" if closest_name(file, [STUDIO]) else f"{maps}, or {STUDIO}"
 
 
 EnvironmentSource: TypeAlias = "Environment | EnvironmentFile | str | os.PathLike[str]"
@@ -309,18 +262,16 @@ def load_environment(file: EnvironmentFile | str | os.PathLike[str]) -> Environm
     file : a path, "studio", a text such as "room.hdr,ROTATION,SCALE", or an
         :class:`EnvironmentFile`
 
-    Raises
-    ------
-    InputError : the file is missing, damaged, or of an unknown format or shape; a radiance is not a
-        number in [0, 1e9]; OpenImageIO (.hdr) or OpenEXR (.exr) is not installed
+    Raises InputError if the file is missing, damaged, or of an unknown format or shape; if a
+    radiance is not a number in [0, 1e9]; if OpenImageIO (.hdr) or OpenEXR (.exr) is not installed.
     """
-    file = environment_file(file)
-    if file.file == STUDIO:
-        return Environment(studio(), file.rotation, file.scale)
-    suffix_of(file.file, _SUFFIXES, "environment", wanted(file.file), MAX_BYTES)
-    status = os.stat(file.file)
-    panorama = _panorama(file.file, status.st_mtime_ns, status.st_size)
-    return Environment(panorama, file.rotation, file.scale)
+    source = build(EnvironmentFile, file, "environment")
+    path, turn = source.file, (source.rotation, source.scale)
+    if path == STUDIO:
+        return Environment(studio(), *turn)
+    suffix_of(path, _SUFFIXES, "environment", wanted(path), MAX_BYTES)
+    status = os.stat(path)
+    return Environment(_panorama(path, status.st_mtime_ns, status.st_size), *turn)
 
 
 @lru_cache(2)
@@ -338,9 +289,8 @@ def _read_hdr(content: bytes, path: Path) -> NDArray[np.float32]:
     try:
         import OpenImageIO as oiio
     except ImportError:
-        raise InputError(
-            f"{path}: .hdr needs the package OpenImageIO; pip install 'facerender[hdr]'"
-        ) from None
+        package = "the package OpenImageIO; pip install 'facerender[hdr]'"
+        raise InputError(f"{path}: .hdr needs {package}") from None
     file, why = None, "it does not start like a Radiance file"
     if content.startswith(b"#?"):  # otherwise OpenImageIO would try other formats
         file, why = oiio.ImageInput.open(str(path)), oiio.geterror()

@@ -1,268 +1,200 @@
-"""The class Job: a scene and its outputs as plain data for pickle, TOML or JSON. The command line
-and programs create jobs; the renderer draws their scenes. This module does not use OpenGL."""
+"""Jobs: a scene and its outputs as plain data, which is also what a scene file contains.
+
+A :class:`Job` is built from a TOML file, from the tables of a batch, or from the options of the
+command line: all of them are tables, merged by :func:`facerender.values.tables.merged` and built
+once by the job's constructor. The renderer draws :meth:`Job.scene`. This module does not use
+OpenGL."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
 
-from facerender.errors import (
-    InputError,
-    check_known,
-    check_path,
-    check_type,
-    each_of,
-    number_of,
-    parameters,
-    short_repr,
-    shown,
-    warn,
-)
-from facerender.images.files import format_of
-from facerender.loading import load_mesh
-from facerender.loading.source import Source, check_normal_map_y, source_of
-from facerender.material import MAPS, Material
-from facerender.mesh.geometry import Geometry
-from facerender.mesh.mesh import TRIANGLES, Mesh, names_of, warn_of_one_lobe
-from facerender.mesh.simplify import simplified
-from facerender.scene.camera import Camera, camera_of
+from facerender.errors import InputError, clipped, number_of, warn
+from facerender.images.files import MAX_SIDE, format_of
+from facerender.loading import MeshFile, load_mesh
+from facerender.material import MAPS, Factors, Material, PartFactors
+from facerender.mesh.mesh import Mesh, warn_of_one_lobe
+from facerender.scene.camera import Camera
 from facerender.scene.detail import LevelOfDetail, Planned
-from facerender.scene.environment import EnvironmentFile, environment_file
-from facerender.scene.file import (
-    KEYS,
-    ImageSettings,
-    Pose,
-    from_table,
-    part_tables,
-    scene_value,
-    toml_text,
-    with_tuples,
-)
-from facerender.scene.light import Light, lights_of
-from facerender.scene.scene import Only, Scene, background_of, check_only, default_light
+from facerender.scene.environment import EnvironmentFile
+from facerender.scene.light import Light
+from facerender.scene.pose import Pose, posed
+from facerender.scene.scene import ONLY, Only, Scene, set_default_light
 from facerender.scene.shading import Shading
-from facerender.values.ranges import EXPOSURES, check_fields, range_of, ranged
-from facerender.values.vectors import BACKGROUNDS, COLORS, ROTATIONS, UP_NAMES, Vector
+from facerender.system.files import read_file, tables_of
+from facerender.values.fields import (
+    EXPOSURES,
+    FRACTION,
+    PATH,
+    SWITCH,
+    Built,
+    Choice,
+    IntegerRange,
+    Range,
+    Several,
+    SizeRange,
+    build,
+    field,
+    field_of,
+    plain,
+    record,
+)
+from facerender.values.tables import toml_text
+from facerender.values.vectors import Vector
 
-_SCENE_KEYS = [key for key in KEYS if key != "cameras"]
-# The fields of MeshFile that are paths.
-MESH_PATHS = ("path", "albedo", "normal_map", "specular_map", "roughness_map", "lobe_map")
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """The files of a mesh, its selected parts, and its number of triangles. Parameters as in
-    :func:`facerender.load_mesh` (paths as text), :meth:`facerender.Mesh.select` and
-    :func:`facerender.simplified`. ``occlusion``: whether :func:`facerender.with_occlusion` is used.
-    """
-
-    path: str | None = None
-    albedo: str | None = None
-    normal_map: str | None = None
-    specular_map: str | None = None
-    roughness_map: str | None = None
-    flip_v: bool = False
-    triangles: int | None = ranged(TRIANGLES, None)
-    lobe_map: str | None = None
-    millimetres: float | None = ranged(range_of(Geometry, "millimetres"), None)
-    occlusion: bool = False
-    allow_outside: bool = False
-    parts: tuple[str, ...] | None = None
-    hide: tuple[str, ...] | None = None
-    normal_map_y: str = "up"
-    as_is: bool = False
-    double_sided: bool = False
-    up: str | None = None
-    rotate: Vector | None = ranged(ROTATIONS, None)
-
-    __repr__ = short_repr
-    __getstate__ = parameters
-
-    def __post_init__(self) -> None:
-        for name in ("parts", "hide"):
-            if (names := getattr(self, name)) is not None:
-                object.__setattr__(self, name, names_of(f"mesh {name}", names) or None)
-        for name in MESH_PATHS:
-            if (path := getattr(self, name)) is not None:
-                check_type(f"mesh {name}", path, str | os.PathLike, "a path as text")
-                object.__setattr__(self, name, os.fspath(path))
-        check_normal_map_y(self.normal_map_y)
-        if self.up is not None:
-            check_known("mesh up", self.up, UP_NAMES)
-        check_fields(self, "mesh ")
-
-    @cached_property
-    def source(self) -> Source:
-        """The mesh file, which is read once: :meth:`load` takes it over."""
-        return source_of(self.path)
-
-    def load(self, cache: bool | Literal["read"] = False) -> Mesh:
-        """Load the mesh; errors and warnings as in the functions that :class:`MeshFile` names."""
-        exclusions = ("path", "triangles", "occlusion")
-        options = {name: value for name, value in _plain(self).items() if name not in exclusions}
-        source = self.source
-        object.__delattr__(self, "source")  # the content of the file takes memory
-        mesh = load_mesh(source, cache=cache, **options)
-        if self.occlusion:
-            from facerender.mesh.occlusion import with_occlusion
-
-            mesh = with_occlusion(mesh, cache=bool(cache))
-        return mesh if self.triangles is None else simplified(mesh, self.triangles)
+MAX_SAMPLES = 64
+MAX_TEXT_BYTES = 1 << 24  # largest size of a scene file, in bytes
 
 
-def parse_size(text: str, name: str = "size") -> tuple[int, int]:
-    """Parse width and height from ``N`` or ``WxH``; raise InputError for other text, and for a size
-    that no image can have."""
-    try:
-        numbers = [int(word) for word in text.lower().split("x")]
-        width, height = numbers * 2 if len(numbers) == 1 else numbers
-    except ValueError:
-        raise InputError(f"{name} {shown(text)}: give N or WxH, such as 1024 or 640x480") from None
-    return ImageSettings((width, height)).size
+@record("image ")
+class ImageSettings:
+    """Settings of the renderer, which checks whether the driver supports them."""
+
+    size: tuple[int, int] = field(
+        SizeRange(1, MAX_SIDE, "pixels"), (1024, 1024), "width and height, or N for both"
+    )
+    samples: int = field(
+        IntegerRange(1, MAX_SAMPLES),
+        4,
+        "samples per pixel",
+        "Above the driver's maximum, each sample is drawn as a separate, shifted image",
+    )
+    anisotropy: float = field(Range(1.0, 16.0), 1.0, "maximum anisotropy of texture filtering")
+    float_albedo: bool = field(
+        SWITCH,
+        False,
+        "store albedo maps as linear float16, so that drivers differ only in the last digits",
+    )
+    full_maps: bool = field(
+        SWITCH,
+        False,
+        "decode all mip levels of maps of more than 4096 x 4096 texels, as --float-albedo does",
+    )
+    alpha_threshold: float = field(
+        FRACTION, 0.5, "smallest opacity at which a blended part counts as a surface in data"
+    )
 
 
-@dataclass(frozen=True)
+@record("output ")
 class Output:
-    """An image file to write.
+    """An image file to write."""
 
-    Parameters
-    ----------
-    path : path with the suffix .png, .exr, .jpg or .webp
-    only : one term instead of the complete image, see :meth:`facerender.Renderer.render`
-    exposure : exposure in stops, default 0; .exr files ignore it
-    """
-
-    path: str
-    only: Only | None = None
-    exposure: float = ranged(EXPOSURES, 0.0)
-
-    __repr__ = short_repr
+    path: str = field(PATH, text="path with the suffix .png, .exr, .jpg or .webp")
+    only: Only | None = field(
+        Choice(ONLY, "term"),
+        None,
+        "term or data to render",
+        "parts gives each part a colour, or in an .exr file the number of the part",
+        "the whole image",
+    )
+    exposure: float = field(EXPOSURES, 0.0, "exposure of all formats except .exr")
 
     def __post_init__(self) -> None:
-        check_path("output path", self.path)
-        object.__setattr__(self, "path", os.fspath(self.path))
         format_of(self.path)
-        check_only(self.only)
-        check_fields(self)
 
 
-@dataclass(frozen=True)
+@record()
 class Job:
-    """A render job: scene, shading, settings of the renderer, and the images to write.
+    """A render job: scene, shading, settings of the renderer, and the images to write. Each record
+    may be a table of its fields or, if it has a text form, a text."""
 
-    Parameters
-    ----------
-    mesh : files of the mesh
-    material : factors of :class:`facerender.Material` that replace the factors of the skin, see
-        :attr:`facerender.Mesh.skin`
-    parts : factors of some parts, applied after ``material`` in the order of the table: for each
-        name of parts, with wildcards, a table of factors and ``preset``; see
-        :meth:`facerender.Mesh.with_material`
-    camera, lights, ambient, background : see :class:`facerender.Scene`
-    environment : file of the environment map, as in :func:`facerender.load_environment`, or None
-    shading : a :class:`facerender.Shading`, or a table for :meth:`Shading.from_dict`
-    pose : pose of the mesh
-    before : pose of the mesh in the frame before, from which motion vectors start
-    planned : images for which the shading was planned, with their level of detail; or None
-    image : settings of the renderer, or a table of them
-    outputs : image files
-    landmarks : path of a landmark file, or None; see :func:`facerender.load_landmarks`
-
-    Raises
-    ------
-    InputError : a value is outside its domain
-    """
-
-    mesh: MeshFile = MeshFile()
-    material: Mapping[str, Any] = field(default_factory=dict)
-    camera: Camera = Camera()
-    lights: tuple[Light, ...] = None  # type: ignore[assignment]  # None: see default_light
-    ambient: float | Vector = ranged(COLORS, None)
-    background: Vector | None = ranged(BACKGROUNDS, Scene.background)
-    shading: Shading = Shading()
-    planned: Planned | None = None
-    image: ImageSettings = ImageSettings()
-    outputs: tuple[Output, ...] = ()
-    environment: EnvironmentFile | None = None
-    parts: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    pose: Pose = Pose()
-    before: Pose = Pose()
-    landmarks: str | None = None
-
-    __repr__ = short_repr
-
-    if TYPE_CHECKING:
-
-        def __init__(
-            self,
-            mesh: MeshFile = ...,
-            material: Mapping[str, Any] = ...,
-            camera: Camera | str = ...,
-            lights: Sequence[Light | str] | None = ...,
-            ambient: float | Vector | None = ...,
-            background: Vector | str | None = ...,
-            shading: Shading | Mapping[str, Any] = ...,
-            planned: Planned | None = ...,
-            image: ImageSettings | Mapping[str, Any] = ...,
-            outputs: Sequence[Output] = ...,
-            environment: EnvironmentFile | str | os.PathLike[str] | None = ...,
-            parts: Mapping[str, Mapping[str, Any]] = ...,
-            pose: Pose = ...,
-            before: Pose = ...,
-            landmarks: str | None = ...,
-        ) -> None: ...
+    mesh: MeshFile = field(Built(MeshFile), MeshFile(), "files of the mesh")
+    material: Mapping[str, Any] = field(
+        Factors(),
+        text="factors of :class:`facerender.Material` that replace the factors of the skin, see "
+        ":attr:`facerender.Mesh.skin`",
+        default_factory=dict,
+    )
+    camera: Camera = field_of(Scene, "camera")
+    lights: tuple[Light, ...] = field_of(Scene, "lights")
+    ambient: float | Vector = field_of(Scene, "ambient")
+    background: Vector | None = field_of(Scene, "background")
+    shading: Shading = field(
+        Built(Shading), Shading(), "specular term of the lights, and the features that are left out"
+    )
+    planned: Planned | None = field(
+        Built(Planned),
+        None,
+        "images for which the shading was planned, with their level of detail",
+    )
+    image: ImageSettings = field(Built(ImageSettings), ImageSettings(), "settings of the renderer")
+    outputs: tuple[Output, ...] = field(Several(Output), (), "image files")
+    environment: EnvironmentFile | None = field(
+        Built(EnvironmentFile),
+        None,
+        "file of the environment map, as in :func:`facerender.load_environment`",
+    )
+    parts: Mapping[str, Mapping[str, Any]] = field(
+        PartFactors(),
+        text="factors of some parts, applied after ``material`` in the order of the table: for "
+        "each name of parts, with wildcards, a table of factors and ``preset``; see "
+        ":meth:`facerender.Mesh.with_material`",
+        default_factory=dict,
+    )
+    pose: Pose = field(Built(Pose), Pose(), "pose of the mesh")
+    before: Pose = field(
+        Built(Pose),
+        Pose(),
+        "pose of the mesh in the frame before, from which motion vectors start",
+    )
+    landmarks: str | None = field(
+        PATH, None, "path of a landmark file; see :func:`facerender.load_landmarks`"
+    )
+    cameras: tuple[Camera, ...] = field(
+        Several(Camera), (), "camera path of ``facerender plan``, or the views of a scene file"
+    )
 
     def __post_init__(self) -> None:
-        lights, ambient = default_light(self.lights, self.ambient, self.environment is not None)
-        self._set(ambient=ambient, lights=lights_of(lights), camera=camera_of(self.camera))
-        self._set(background=background_of(self.background))
-        if self.environment is not None:
-            self._set(environment=environment_file(self.environment))
-        if isinstance(self.shading, Mapping):
-            self._set(shading=Shading.from_dict(self.shading))
-        if isinstance(self.image, Mapping):
-            self._set(image=from_table(ImageSettings, "image", self.image))
-        check_type("mesh", self.mesh, MeshFile, "a MeshFile")
-        check_type("shading", self.shading, Shading, "a Shading")
-        check_type("image", self.image, ImageSettings, "an ImageSettings")
-        for name in ("pose", "before"):
-            check_type(name, getattr(self, name), Pose, "a facerender.Pose")
-        check_type("planned", self.planned, Planned | None, "a facerender.scene.detail.Planned")
-        check_type("outputs", self.outputs, list | tuple, "a list of Output")
-        self._set(outputs=each_of("outputs", self.outputs, Output, "a list of Output"))
-        if self.landmarks is not None:
-            check_path("landmarks", self.landmarks)
-            self._set(landmarks=os.fspath(self.landmarks))
-        from_table(Material, "material", self.material, without=MAPS)  # only to validate
-        self._set(material=with_tuples(self.material), parts=part_tables("parts", self.parts))
-        check_fields(self)
+        set_default_light(self)
 
-    def _set(self, **values: Any) -> None:
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Job:
+        """Read a job from a scene file in TOML, as :meth:`toml` writes it.
+
+        Raises
+        ------
+        InputError : the file cannot be read, or has an unknown key or a value outside its range
+        """
+        return cls(**load_scene(path))
+
+    @classmethod
+    def from_dict(cls, tables: Mapping[str, Any]) -> Job:
+        """Return the job that data from :meth:`as_dict` describe; missing keys get their defaults.
+        Raises InputError if a key is unknown, or a value is outside its domain."""
+        return build(cls, tables, "")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the job as plain data for JSON or TOML; see :meth:`from_dict`."""
+        table = plain(self) | {"background": self.background or "none"}
+        # Defaults of a shading stay away: a plan pins only the values that it decided.
+        table["shading"] = self.shading.as_dict()
+        unset = [name for name in ("pose", "before") if getattr(self, name) == Pose()]
+        return {key: value for key, value in table.items() if key not in unset}
+
+    def toml(self) -> str:
+        """Return the job as the text of a scene file in TOML."""
+        return toml_text(self.as_dict())
 
     def scene(self, mesh: Mesh | None = None, moves: bool = False) -> Scene:
         """Return the scene.
 
         Parameters
         ----------
-        mesh : result of ``self.mesh.load()``, which several jobs may share; None to load the mesh
+        mesh : result of ``load_mesh(job.mesh)``, which several jobs may share; None to load it
         moves : whether the scene has the frame before (:attr:`Scene.before`), for motion vectors
 
         Raises
         ------
         InputError : a file cannot be used; warnings as in :func:`facerender.load_mesh`
         """
-        loaded = self.mesh.load() if mesh is None else mesh
-        previous_scene = None
-        if moves or self.pose != Pose():
-            from facerender.scene.vertices import posed
-
-            previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
-            loaded = posed(loaded, self.pose)
+        loaded = load_mesh(self.mesh) if mesh is None else mesh
+        previous_scene = Scene(posed(loaded, self.before), self.camera) if moves else None
+        loaded = posed(loaded, self.pose)
+        # The skin first: tables of parts may then change single parts of it.
         if self.material:
             loaded = loaded.with_skin(**self.material)
         for name, table in self.parts.items():
@@ -276,7 +208,7 @@ class Job:
         """Return the level of detail of an image with the renderer's samples per pixel. The planned
         level is used only for the planned size and samples. Otherwise, a FacerenderWarning, which
         contains the name of the scene, is emitted, and all triangles are drawn."""
-        if self.planned and self.planned.holds(self.image.size, samples):
+        if self.planned and self.planned.covers(self.image.size, samples):
             return self.planned.detail
         if self.planned:
             width, height = self.image.size
@@ -287,60 +219,72 @@ class Job:
             )
         return LevelOfDetail(self.image.samples, None)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the job as plain data for JSON or TOML; see :meth:`from_dict`."""
-        return {
-            "mesh": _plain(self.mesh),
-            "material": dict(self.material),
-            **({"parts": dict(self.parts)} if self.parts else {}),
-            "camera": _plain(self.camera),
-            "lights": [_plain(light) for light in self.lights],
-            **({"environment": _plain(self.environment)} if self.environment else {}),
-            "ambient": self.ambient,
-            "background": "none" if self.background is None else self.background,
-            "shading": self.shading.as_dict(),
-            **{n: _plain(pose) for n in ("pose", "before") if (pose := getattr(self, n)) != Pose()},
-            **({"planned": _plain(self.planned)} if self.planned else {}),
-            "image": _plain(self.image),
-            **({"landmarks": self.landmarks} if self.landmarks else {}),
-            "outputs": [_plain(output) for output in self.outputs],
-        }
 
-    @classmethod
-    def from_dict(cls, tables: Mapping[str, Any]) -> Job:
-        """Return the job that data from :meth:`as_dict` describe; missing keys get their defaults.
+def load_scene(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the values of a scene file in TOML.
 
-        Parameters
-        ----------
-        tables : the keys of a scene file (see :func:`facerender.load_scene`) except cameras, and
-            the keys mesh, image and outputs
+    Returns
+    -------
+    dict with the keys that the file contains: arguments of :class:`facerender.Job`, converted to
+    their types, but shading and image as tables, so that options can change single values
 
-        Raises
-        ------
-        InputError : a key is unknown, or a value is outside its domain
-        """
-        if not isinstance(tables, Mapping):
-            raise InputError(f"job = {tables!r}: give a table")
-        return cls(**{key: job_value(key, value) for key, value in tables.items()})
-
-    def toml(self) -> str:
-        """Return the job as the text of a TOML file."""
-        tables = self.as_dict()
-        if not self.lights:
-            tables["lights"] = tables.pop("lights")  # after the other values without tables
-        return toml_text(tables | {"outputs": tables["outputs"] or None})
+    Raises
+    ------
+    InputError : the file cannot be read, or has an unknown key or a value outside its range
+    """
+    name = clipped(Path(PATH.check("scene file", path)).name)
+    tables = tables_of(read_file(path, "a scene file", MAX_TEXT_BYTES), name)
+    try:
+        if tables.get("cameras") == []:
+            raise InputError("cameras = []: give a list of names or tables")
+        job = Job.from_dict(tables)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from None
+    # The caller may change single values of these before the records are built.
+    as_tables = ("shading", "image")
+    return {key: tables[key] if key in as_tables else getattr(job, key) for key in tables}
 
 
-def job_value(key: str, value: Any) -> Any:
-    """Convert the plain value of a key of a job, as :func:`scene_value` does for a scene."""
-    check_known("key", key, (*_SCENE_KEYS, "mesh", "outputs", "landmarks"))
-    if key == "mesh":
-        return from_table(MeshFile, key, value)
-    if key == "outputs":
-        check_type(key, value, list, "a list of tables")
-        return tuple(from_table(Output, key, table) for table in value)
-    return value if key == "landmarks" else scene_value(key, value)
+def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -> str:
+    """Return a scene, without its mesh and maps, as TOML text that :func:`load_scene` parses.
+
+    The table ``material`` contains the factors that are equal for all parts of the skin, the table
+    ``parts`` the other factors of each part. The table ``planned`` contains the fields of
+    :class:`Planned`.
+    """
+    source = scene.environment
+    materials = [scene.mesh.materials[i] for i in scene.mesh.skin]
+    values = ((name, {getattr(m, name) for m in materials}) for name in _factor_names(*materials))
+    shared = {name: several.pop() for name, several in values if len(several) == 1}
+    tables = {
+        "ambient": scene.ambient,
+        "background": "none" if scene.background is None else scene.background,
+        "camera": plain(scene.camera, changed=True),
+        "lights": [plain(light, changed=True) for light in scene.lights],
+        "environment": source
+        and {"file": source.panorama.name, "rotation": source.rotation, "scale": source.scale},
+        "material": shared,
+        "parts": _differing_factors(scene.mesh, shared) or None,
+        "shading": shading.as_dict(),
+        "planned": planned and plain(planned),
+    }
+    return toml_text(tables)
 
 
-def _plain(instance: Any) -> dict[str, Any]:
-    return {name: value for name, value in asdict(instance).items() if value not in (None, {})}
+def _factor_names(*materials: Material) -> list[str]:
+    """Return the names of the factors that have an effect on some of the materials."""
+    mapped = any(material.roughness_map is not None for material in materials)
+    unused = (*MAPS, "m" if mapped else "roughness_factor")
+    return [member.name for member in fields(Material) if member.name not in unused]
+
+
+def _differing_factors(mesh: Mesh, shared: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return, for each named part, its factors, without the ``shared`` factors of the skin."""
+    tables: dict[str, dict[str, Any]] = {}
+    for number, (part, material) in enumerate(zip(mesh.parts, mesh.materials, strict=True)):
+        omitted = shared if number in mesh.skin else ()
+        names = [name for name in _factor_names(material) if name not in omitted]
+        if names and part.name:
+            values = {name: getattr(material, name) for name in names}
+            tables[part.name] = {n: "none" if v is None else v for n, v in values.items()}
+    return tables

@@ -14,18 +14,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_path, check_type, clipped, each_of, reason, shown
+from facerender.errors import InputError, clipped, quoted, reason
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import used
-from facerender.scene.file import MOST_BYTES
+from facerender.scene.job import MAX_TEXT_BYTES
 from facerender.scene.view import View
 from facerender.system.files import read_file
-from facerender.values.ranges import IntegerRange, Range
+from facerender.values.fields import PATH, TEXT, IntegerRange, Range
 from facerender.values.vectors import rows_of
 
 Float = NDArray[np.float64]
 
-MOST_LANDMARKS = 100_000
+MAX_LANDMARKS = 100_000
 _VERTICES = IntegerRange(0, (1 << 31) - 1)
 _WEIGHTS = Range(-2.0, 2.0)  # wider than the valid range, which Landmarks checks with a tolerance
 _ROUNDED = 0.02  # tolerance of weights and of their sum: files may have weights of two digits
@@ -50,9 +50,7 @@ class Landmarks:
         between texture seams and parts (:attr:`Part.sources`), the numbers count the vertices of
         the file
 
-    Raises
-    ------
-    InputError : a shape, type, number, weight or name is invalid
+    Raises InputError if a shape, number, weight or name is invalid.
     """
 
     names: tuple[str, ...]
@@ -61,30 +59,26 @@ class Landmarks:
     parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        names = each_of("landmark names", self.names, str, "a list of texts")
-        if not 0 < len(names) <= MOST_LANDMARKS:
-            raise InputError(f"{len(names)} landmarks: give 1 to {MOST_LANDMARKS}")
+        names = tuple(TEXT.check("landmark name", name) for name in self.names)
+        if not 0 < len(names) <= MAX_LANDMARKS:
+            raise InputError(f"{len(names)} landmarks: give 1 to {MAX_LANDMARKS}")
         if len({*names}) < len(names):
             twice = next(name for name, count in Counter(names).items() if count > 1)
-            raise InputError(f"two landmarks are called {shown(twice)}: give different names")
+            raise InputError(f"two landmarks are called {quoted(twice)}: give different names")
         weights = rows_of("landmark weights", self.weights, (3,), count=len(names))
         vertices = rows_of("landmark vertices", self.vertices, (3,), count=len(names))
         wrong = (vertices != np.floor(vertices)) | (vertices < 0) | (vertices > _VERTICES.high)
-        if wrong.any():
-            row, column = np.argwhere(wrong)[0]
-            raise InputError(
-                f"landmark {shown(names[row])}: vertex {vertices[row, column]:g}: give a vertex "
-                "number from 0 on"
-            )
+        for row, column in np.argwhere(wrong):
+            vertex = f"landmark {quoted(names[row])}: vertex {vertices[row, column]:g}"
+            raise InputError(f"{vertex}: give a vertex number from 0 on")
         sums = weights.sum(axis=1)
-        if (bad := (np.abs(sums - 1.0) > _ROUNDED) | (weights.min(axis=1) < -_ROUNDED)).any():
-            row = int(bad.argmax())
-            raise InputError(
-                f"landmark {shown(names[row])}: weights {weights[row].tolist()} have the sum "
-                f"{sums[row]:.4g}: give weights in [0, 1] with the sum 1"
-            )
+        wrong = (np.abs(sums - 1.0) > _ROUNDED) | (weights.min(axis=1) < -_ROUNDED)
+        for row in np.flatnonzero(wrong):
+            pair = f"weights {weights[row].tolist()} have the sum {sums[row]:.4g}"
+            remedy = "give weights in [0, 1] with the sum 1"
+            raise InputError(f"landmark {quoted(names[row])}: {pair}: {remedy}")
         weights = np.maximum(weights, 0.0)
-        parts = each_of("landmark parts", self.parts, str, "a list of texts")
+        parts = tuple(TEXT.check("landmark part", part) for part in self.parts)
         if parts and len(parts) != len(names):
             remedy = f"give {len(names)}, one for each landmark"
             raise InputError(f"{len(parts)} landmark parts: {remedy}")
@@ -99,52 +93,46 @@ class Landmarks:
     def positions(self, mesh: Mesh) -> Float:
         """Return the positions (N, 3) of the landmarks on a mesh, in mesh space.
 
-        Raises
-        ------
-        InputError : the mesh lacks a vertex or a part, several parts match a name, or no triangle
-            uses a vertex
+        Raises InputError if the mesh lacks a vertex or a part, if several parts match a name, or if
+        no triangle uses a vertex.
         """
-        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-        places = np.concatenate([part.positions for part in mesh.parts])
-        part_names = np.array(self.parts)
-        rows = np.empty_like(self.vertices)
+        positions = np.concatenate([part.positions for part in mesh.parts])
+        rows, part_names = np.empty_like(self.vertices), np.array(self.parts)
         for name in dict.fromkeys(self.parts):
-            chosen = np.flatnonzero(part_names == name)
-            table = _vertices_of(mesh, name)
-            numbers = self.vertices[chosen]
+            of_part = np.flatnonzero(part_names == name)
+            table, numbers = _vertices_of(mesh, name), self.vertices[of_part]
             beyond = numbers >= len(table)
-            rows[chosen] = table[np.where(beyond, 0, numbers)]
-            if (bad := beyond | (rows[chosen] < 0)).any():
-                row, column = np.argwhere(bad)[0]
-                owner = f"part {shown(name)} of {mesh.name}" if name else mesh.name
+            rows[of_part] = table[np.where(beyond, 0, numbers)]
+            for row, column in np.argwhere(beyond | (rows[of_part] < 0)):
+                owner = f"part {quoted(name)} of {mesh.name}" if name else mesh.name
                 why = f"no triangle of {owner} uses it"
                 if beyond[row, column]:
                     why = f"{owner} has {len(table)} vertices"
-                raise InputError(
-                    f"landmark {shown(self.names[chosen[row]])}: vertex {numbers[row, column]}, "
-                    f"but {why}: give the number of a vertex of a triangle"
-                )
-        return np.asarray(np.einsum("nkj,nk->nj", places[rows], self.weights))
+                vertex = f"{quoted(self.names[of_part[row]])}: vertex {numbers[row, column]}"
+                remedy = "give the number of a vertex of a triangle"
+                raise InputError(f"landmark {vertex}, but {why}: {remedy}")
+        return np.asarray(np.einsum("nkj,nk->nj", positions[rows], self.weights))
 
 
 def _vertices_of(mesh: Mesh, name: str) -> NDArray[np.int64]:
     """Return, for each vertex number of a part ("": of the mesh), the index of the vertex in the
     positions of all parts; -1 for a vertex that no triangle uses."""
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
-    chosen = mesh.called(name) if name else [*range(len(mesh.parts))]
-    if name and len(chosen) > 1:
-        raise InputError(f"landmark part {shown(name)} matches {len(chosen)} parts: give one part")
-    shared = [i for i in chosen if mesh.parts[i].sources is not None]
+    indices = mesh.called(name) if name else range(len(mesh.parts))
+    if name and len(indices) > 1:
+        raise InputError(
+            f"landmark part {quoted(name)} matches {len(indices)} parts: give one part"
+        )
+    shared = [i for i in indices if mesh.parts[i].sources is not None]
     counts = {mesh.parts[i].source_count for i in shared}
-    by_file = len(counts) == 1
+    by_file = len(counts) == 1  # otherwise, the parts have no common numbers
     table = np.full(counts.pop() if by_file else int(starts[-1]), -1)
-    for i in shared if by_file else chosen:
-        part = mesh.parts[i]
-        drawn = np.flatnonzero(used(part.positions, part.faces))
-        numbers = part.sources if by_file else np.arange(starts[i], starts[i + 1])
-        assert numbers is not None
-        table[numbers[drawn]] = starts[i] + drawn
-    return table if by_file or not name else table[starts[chosen[0]] : starts[chosen[0] + 1]]
+    for i in shared if by_file else indices:
+        part, sources = mesh.parts[i], mesh.parts[i].sources if by_file else None
+        vertices = np.flatnonzero(used(part.positions, part.faces))
+        rows = starts[i] + vertices
+        table[rows if sources is None else sources[vertices]] = rows
+    return table if by_file or not name else table[starts[indices[0]] : starts[indices[0] + 1]]
 
 
 def load_landmarks(path: str | os.PathLike[str]) -> Landmarks:
@@ -161,82 +149,75 @@ def load_landmarks(path: str | os.PathLike[str]) -> Landmarks:
     Arrays of embedded landmarks, such as the vertices ``faces[lmk_faces_idx]`` and the weights
     ``lmk_b_coords`` of FLAME, need no file: pass them to :class:`Landmarks`.
 
-    Raises
-    ------
-    InputError : the file cannot be read, has another structure, or has an invalid landmark
+    Raises InputError if the file cannot be read, has another structure, or an invalid landmark.
     """
-    check_path("landmark file", path)
-    content = read_file(path, "a JSON file with landmarks", MOST_BYTES)
-    try:
-        return _landmarks(content)
-    except InputError as error:
-        raise InputError(f"{clipped(Path(path).name)}: {error}") from None
-
-
-def _landmarks(content: bytes) -> Landmarks:
+    content, name = (
+        read_file(PATH.check("landmark file", path), "a JSON file with landmarks", MAX_TEXT_BYTES),
+        Path(path).name,
+    )
     try:
         landmarks = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"its JSON cannot be read ({reason(error)}); correct it") from None
-    check_type("content", landmarks, list | dict, "a list of landmarks, or a table by name")
-    if not 0 < len(landmarks) <= MOST_LANDMARKS:
-        raise InputError(f"{len(landmarks)} landmarks: give 1 to {MOST_LANDMARKS}")
-    is_list = isinstance(landmarks, list)
-    pairs = enumerate(landmarks) if is_list else landmarks.items()
-    rows = [_item(str(name), landmark, is_list) for name, landmark in pairs]
-    names, vertices, weights, parts = zip(*rows, strict=True)
-    return Landmarks(names, np.array(vertices), np.array(weights), parts)
+        remedy = f"its JSON cannot be read ({reason(error)}); correct it"
+        raise InputError(f"{clipped(name)}: {remedy}") from None
+    try:
+        if not isinstance(landmarks, list | dict):
+            remedy = "give a list of landmarks, or a table by name"
+            raise InputError(f"content = {quoted(landmarks)}: {remedy}")
+        if not 0 < len(landmarks) <= MAX_LANDMARKS:
+            raise InputError(f"{len(landmarks)} landmarks: give 1 to {MAX_LANDMARKS}")
+        keyed = isinstance(landmarks, dict)
+        pairs: Any = landmarks.items() if isinstance(landmarks, dict) else enumerate(landmarks)
+        rows = [_item(str(key), landmark, not keyed) for key, landmark in pairs]
+        names, vertices, weights, parts = zip(*rows, strict=True)
+        return Landmarks(names, np.array(vertices), np.array(weights), parts)
+    except InputError as error:
+        raise InputError(f"{clipped(name)}: {error}") from None
 
 
 def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[float], str]:
     """Return name, three vertices, three weights and part of a landmark, which may have the key
     "name" if ``named`` is true."""
-    place = f"landmark {shown(name)}"
+    label = f"landmark {quoted(name)}"
     table = landmark if isinstance(landmark, Mapping) else {"vertices": landmark}
     keys = _KEYS if named else _KEYS[1:]
     if unknown := [key for key in table if key not in keys]:
-        raise InputError(f"{place}: unknown key {shown(unknown[0])}; known: {', '.join(keys)}")
+        raise InputError(f"{label}: unknown key {quoted(unknown[0])}; known: {', '.join(keys)}")
     for key in ("name", "part"):
-        check_type(f"{place}: {key}", table.get(key, ""), str, "text")
+        TEXT.check(f"{label}: {key}", table.get(key, ""))
     vertices: Any = table.get("vertices")
-    listed = table is landmark and isinstance(vertices, list)
-    numbers: list[Any] = vertices if listed else [vertices]
+    numbers = vertices if isinstance(vertices, list) and table is landmark else [vertices]
     if not 0 < len(numbers) <= 3 or not all(number in _VERTICES for number in numbers):
-        raise InputError(f"{place}: vertices = {shown(vertices)}: give one to three vertex numbers")
+        raise InputError(
+            f"{label}: vertices = {quoted(vertices)}: give one to three vertex numbers"
+        )
     weights = table.get("weights", [1.0] if len(numbers) == 1 else None)
     weights = weights if isinstance(weights, list) else [weights]
     if len(weights) != len(numbers) or not all(weight in _WEIGHTS for weight in weights):
-        quoted = shown(table.get("weights"))
-        raise InputError(f"{place}: weights = {quoted}: give {len(numbers)} numbers in [0, 1]")
-    numbers = [*numbers, *numbers[:1] * 2][:3]
-    weights = [*map(float, weights), 0.0, 0.0][:3]
+        weight_text = quoted(table.get("weights"))
+        raise InputError(f"{label}: weights = {weight_text}: give {len(numbers)} numbers in [0, 1]")
+    numbers, weights = [*numbers, *numbers[:1] * 2][:3], [*map(float, weights), 0.0, 0.0][:3]
     return table.get("name") or name, numbers, weights, table.get("part", "")
 
 
 def located(
     view: View, mesh: Mesh, points: Float, image: NDArray[np.float32]
 ) -> tuple[Float, Float, NDArray[np.bool_]]:
-    """Return the pixels, depths and visibility of points on the surface of a scene.
+    """Return pixels and depth, as :meth:`View.project`, of points on the surface of a scene, and
+    whether the points are visible: in the image, and not hidden.
 
     A point is hidden if the surfaces at the four pixel centres around it are all nearer than the
-    point, by more than a tolerance. A plane through the point is at least as far as the point at
-    one of these centres, so that slanted surfaces need no tolerance. The tolerance is the size of a
-    pixel at the point's depth, because a hollow that the image resolves is not deeper between two
-    pixels; and the rounding error of the depths. At a silhouette, one of the centres shows the
-    surface behind, so that points within a pixel of a silhouette count as visible.
+    point, by more than a tolerance. At a silhouette, one of the centres shows the surface behind,
+    so that points within a pixel of a silhouette count as visible.
 
-    Parameters
-    ----------
     points : (N, 3), in mesh space
     image : (H, W, 4), image of the term depth
-
-    Returns
-    -------
-    pixels, depth : see :meth:`View.project`
-    visible : (N,), whether the point is in the image and not hidden
     """
     height, width = image.shape[:2]
     pixels, depth = view.project(mesh, points, (width, height))
+    # A plane through the point is at least as far as the point at one of the centres, so that
+    # slanted surfaces need no tolerance. The tolerance is the size of a pixel at the point's depth,
+    # because a hollow that the image resolves is not deeper between two pixels; and rounding.
     pixel = depth / view.intrinsics((width, height)).diagonal()[:2].min()
     slack = pixel + depth * _RESOLUTION + mesh.radius * _INTERPOLATION
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)

@@ -5,62 +5,76 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, each_of, short_repr, shown
+from facerender.errors import InputError, quoted
 from facerender.mesh.part import Space
 from facerender.terms.model import MAX_RADIUS
-from facerender.values.ranges import Range, check_fields, ranged
-from facerender.values.vectors import (
-    AZIMUTHS,
-    COLORS,
-    ELEVATIONS,
-    POSITIONS,
-    Vector,
-    direction_to,
-    numbers_in,
-    within_reach,
-)
+from facerender.values import vectors
+from facerender.values.fields import SWITCH, Range, field, plain, record
+from facerender.values.vectors import AZIMUTHS, COLORS, ELEVATIONS, POSITIONS, Vector, within_reach
 
 Float = NDArray[np.float64]
 
 NEAREST = 1.05  # smallest distance of a shadow-casting point light from the centre, in mesh radii
 
 
-@dataclass(frozen=True)
+@record("light ")
 class Light:
-    """A distant light, or a point light if it has a position.
+    """A distant light, or a point light if it has a position."""
 
-    Parameters
-    ----------
-    azimuth, elevation : direction to a distant light in degrees, defined as in Camera
-    irradiance : irradiance of a surface that faces the light, one number or linear RGB in [0, 1e9].
-        For a point light, the surface is at the mesh's centre. An irradiance of pi shows a white
-        diffuse surface as 1.
-    position : position of a point light in mesh units; excludes azimuth and elevation
-    radius : angular radius in degrees, in [0, 20]; for a point light, as seen from the mesh's
-        centre. A light of radius 0 has no area.
-    shadow : whether the mesh casts shadows in this light; default true. Area lights have soft
-        shadows.
-    """
+    azimuth: float = field(AZIMUTHS, 0.0, "direction to a distant light, defined as in Camera")
+    elevation: float = field(ELEVATIONS, 0.0, "direction to a distant light, defined as in Camera")
+    irradiance: float | Vector = field(
+        COLORS,
+        math.pi,
+        "irradiance of a surface that faces the light, one number or linear RGB. For a point "
+        "light, the surface is at the mesh's centre. An irradiance of pi shows a white diffuse "
+        "surface as 1",
+    )
+    position: Vector | None = field(
+        POSITIONS,
+        None,
+        "position of a point light in mesh units; excludes azimuth and elevation",
+    )
+    radius: float = field(
+        Range(0.0, MAX_RADIUS, "degrees"),
+        0.0,
+        "angular radius, for a point light as seen from the mesh's centre. A light of radius 0 has "
+        "no area; area lights have soft shadows",
+    )
+    shadow: bool = field(SWITCH, True, "whether the mesh casts shadows in this light")
 
-    azimuth: float = ranged(AZIMUTHS, 0.0)
-    elevation: float = ranged(ELEVATIONS, 0.0)
-    irradiance: float | Vector = ranged(COLORS, math.pi)
-    position: Vector | None = ranged(POSITIONS, None)
-    radius: float = ranged(Range(0.0, MAX_RADIUS, "degrees"), 0.0)
-    shadow: bool = True
-
-    __repr__ = short_repr
+    @classmethod
+    def parse(cls, text: str) -> dict[str, Any]:
+        """Return the fields of a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
+        ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
+        ``,radius=DEGREES`` and ``,no-shadow``. Raises InputError for another text."""
+        form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
+        fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
+        words = [word.removeprefix("radius=") for word in options if word != "no-shadow"]
+        if radii := vectors.numbers_in(words):
+            fields["radius"] = radii[0]
+        prefix, _, arguments = form.rpartition(":")
+        numbers, count = vectors.numbers_in(arguments.split(",")), {"": 2, "point": 3}.get(prefix)
+        is_light = count and len(numbers) - count in (0, 1, 3)
+        if len(options) != len(fields) or not (is_light or form in LIGHTS):
+            raise InputError(f"unknown light {quoted(text)}; give {LIGHT_TEXTS}")
+        if form in LIGHTS:
+            return plain(LIGHTS[form]) | fields
+        start, irradiance = numbers[:count], numbers[count:] or [math.pi]
+        fields["irradiance"] = irradiance if irradiance[1:] else irradiance[0]
+        if prefix == "point":
+            return {"position": start, **fields}
+        return {"azimuth": start[0], "elevation": start[1], **fields}
 
     def __post_init__(self) -> None:
-        check_fields(self, "light ")
         for name in ("azimuth", "elevation"):
             if self.position is not None and (value := getattr(self, name)):
                 pair = f"light {name} = {value:g} and position"
@@ -69,24 +83,21 @@ class Light:
     @property
     def direction(self) -> Float:
         """Unit vector towards a distant light."""
-        return direction_to(self.azimuth, self.elevation)
+        return vectors.direction_to(self.azimuth, self.elevation)
 
     @property
     def kind(self) -> LightKind:
         """The light's entry in LIGHT_KINDS."""
-        return next(kind for kind in LIGHT_KINDS.values() if kind.matches(self))
+        return next(entry for entry in LIGHT_KINDS.values() if entry.matches(self))
 
 
 @dataclass(frozen=True, eq=False)
 class LightKind:
-    """A kind of light.
-
-    The file ``host/light/NAME.glsl`` of the kind NAME declares uniform arrays of NAME_LIGHTS
-    elements and the function ``Light NAME_light(int i, vec3 position)``.
+    """A kind of light. The file ``host/light/NAME.glsl`` of the kind NAME declares uniform arrays
+    of NAME_LIGHTS elements and the function ``Light NAME_light(int i, vec3 position)``.
 
     example : light that cost measurements use
-    matches : whether a light can be of this kind; the first kind in LIGHT_KINDS that matches a
-        light is the light's kind
+    matches : whether a light can be of this kind; the first match in LIGHT_KINDS is its kind
     arrays : names of the uniform arrays
     elements : a light's element of each uniform array, (1,) to (3,), in the renderer's space
     lighting : for positions (..., 3) in the renderer's space, unit vectors to a light and the
@@ -104,8 +115,7 @@ class LightKind:
     sine: Callable[[Light, Space, Float], Float] | None = None
 
     def uniforms(self, lights: Sequence[Light], space: Space) -> dict[str, Float]:
-        """Return the uniform arrays of N lights of this kind, keyed by the array's name. Each array
-        is (N, 1) to (N, 3)."""
+        """Return the uniform arrays, (N, 1) to (N, 3), of N lights of this kind by their names."""
         columns = zip(*(self.elements(light, space) for light in lights), strict=True)
         return {name: np.array(column) for name, column in zip(self.arrays, columns, strict=True)}
 
@@ -121,11 +131,8 @@ class LightKind:
 
 
 def _point(light: Light, space: Space) -> tuple[Float, Float]:
-    """Return a point light's position and intensity in the renderer's space, (3,) each.
-
-    The intensity is the irradiance at the mesh's centre times the squared distance to that centre.
-    Raises InputError if the light is at the mesh's centre, or more than 1e6 mesh radii away.
-    """
+    """Return a point light's position and intensity in the renderer's space, (3,) each. The
+    intensity is the irradiance at the mesh's centre times the squared distance to that centre."""
     assert light.position is not None
     position = within_reach(f"point light {light.position}", space.normalised(light.position))
     distance2 = float(position @ position)
@@ -151,16 +158,14 @@ def _sine(light: Light, *_: Any) -> Float:
 
 
 def _sphere(light: Light, space: Space) -> tuple[Float, Float, Float]:
-    """Return position, intensity and radius of a sphere light in the renderer's space. Raises
-    InputError if the angular radius may exceed MAX_RADIUS somewhere on the mesh."""
+    """Return position, intensity and radius of a sphere light in the renderer's space."""
     position, intensity = _point(light, space)
     distance = float(np.linalg.norm(position))
     size = distance * _sine(light)
     if size > (distance - space.reach) * math.sin(math.radians(MAX_RADIUS)) * (1.0 + 1e-9):
-        raise InputError(
-            f"point light {light.position} with radius {light.radius:g} is too near: parts of the "
-            f"mesh may see a radius above {MAX_RADIUS:g} degrees; reduce it, or move the light away"
-        )
+        cause = f"parts of the mesh may see a radius above {MAX_RADIUS:g} degrees"
+        start = f"point light {light.position} with radius {light.radius:g} is too near"
+        raise InputError(f"{start}: {cause}; reduce it, or move the light away")
     return position, intensity, size
 
 
@@ -174,8 +179,8 @@ def _distant(light: Light, *_: Any) -> tuple[Float, Float]:
 
 
 LIGHT_KINDS: dict[str, LightKind] = {
-    kind.name: kind
-    for kind in (
+    entry.name: entry
+    for entry in (
         LightKind(
             "point",
             example=Light(irradiance=2.0, position=(1.0, 2.0, 3.0)),
@@ -224,7 +229,7 @@ LIGHTS: Mapping[str, Light] = {
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),
 }
-# Texts that parse_light accepts, for messages.
+# Texts that Light.parse accepts, for messages.
 LIGHT_TEXTS = (
     f"{', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then "
     "optionally ,radius=DEGREES for an area light and ,no-shadow"
@@ -232,10 +237,9 @@ LIGHT_TEXTS = (
 
 
 def disc_of(light: Light, space: Space) -> tuple[float, float] | None:
-    """Return sin R and (1 + cos R)/2, where R is a light's largest angular radius, as seen from
-    any point in the sphere around the mesh. The parameters s and k of
-    ``fr_slope_variance_disc`` are these values. Return None for a light without area. Raises the
-    errors that drawing the light raises."""
+    """Return sin R and (1 + cos R)/2, the parameters s and k of ``fr_slope_variance_disc``, where R
+    is a light's largest angular radius, as seen from any point in the sphere around the mesh.
+    Return None for a light without area. Raises the errors that drawing the light raises."""
     if light.kind.sine is None:
         return None
     nearest = np.zeros(3)
@@ -254,8 +258,7 @@ class LightSpace:
     matrix : (4, 4) float64, for row vectors; the result must be divided by w
     tan_radius : tangent of the light's angular radius, seen from the mesh's centre
     top : largest projected z of the sphere
-    scale : sqrt(1 - 1/d^2) / reach of a point light at a distance of d reaches; 0 for a distant
-        light
+    scale : sqrt(1 - 1/d^2) / reach of a point light d reaches away; 0 for a distant light
     """
 
     matrix: Float
@@ -265,21 +268,19 @@ class LightSpace:
 
 
 def light_space(light: Light, space: Space) -> LightSpace:
-    """Return the shadow projection of a light. Raises InputError if a point light is nearer than
-    NEAREST or farther than 1e6 mesh radii."""
+    """Return the shadow projection of a light."""
     tan_radius = math.tan(math.radians(light.radius))
     matrix, reach = np.eye(4), space.reach
     if light.position is None:
         matrix[:3, :3] = light_axes(light, space) / reach
         return LightSpace(matrix, tan_radius, 1.0)
-    place = within_reach(f"point light {light.position}", space.normalised(light.position))
-    distance = float(np.linalg.norm(place)) / reach
+    position = within_reach(f"point light {light.position}", space.normalised(light.position))
+    distance = float(np.linalg.norm(position)) / reach
     if distance < NEAREST:
-        raise InputError(
-            f"point light {light.position} is too near to cast a shadow: it is "
-            f"{distance * reach:.3g} mesh radii from the mesh's centre; give {NEAREST * reach:.4g} "
-            "or more, or shadow=False (,no-shadow)"
-        )
+        start = f"point light {light.position} is too near to cast a shadow"
+        remedy = f"give {NEAREST * reach:.4g} or more, or shadow=False (,no-shadow)"
+        far = f"{distance * reach:.3g} mesh radii from the mesh's centre"
+        raise InputError(f"{start}: it is {far}; {remedy}")
     axes = light_axes(light, space)
     scale = math.sqrt(1.0 - 1.0 / distance**2)
     matrix[:3, :3] = scale * distance * axes / reach
@@ -296,45 +297,10 @@ def light_axes(light: Light, space: Space) -> Float:
 
 
 @lru_cache(maxsize=64)  # every frame needs the axes of the same lights
-def _axes(x: float, y: float, z: float) -> Float:
-    """Return the basis of :func:`light_axes` for a vector to the light; read-only."""
-    towards = np.array([x, y, z]) / np.linalg.norm([x, y, z])
+def _axes(*vector: float) -> Float:
+    towards = np.array(vector) / np.linalg.norm(vector)
     across = np.cross(np.eye(3)[int(np.abs(towards).argmin())], towards)
     across /= np.linalg.norm(across)
     axes = np.stack([across, np.cross(towards, across), towards], axis=1)
     axes.flags.writeable = False
     return axes
-
-
-def lights_of(lights: Any) -> tuple[Light, ...]:
-    """Return several lights or one, each given as a :class:`Light` or as a text that
-    :func:`parse_light` parses. Raises InputError for any other value."""
-    several = [lights] if isinstance(lights, str | Light) else lights
-    if isinstance(several, Iterable):
-        several = [parse_light(light) if isinstance(light, str) else light for light in several]
-    remedy = f"several facerender.Light, or names: {', '.join(LIGHTS)}"
-    return each_of("lights", several, Light, remedy)
-
-
-def parse_light(text: str) -> Light:
-    """Parse a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
-    ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
-    ``,radius=DEGREES`` and ``,no-shadow``. Raises InputError if the name is unknown, or the text
-    has another form."""
-    form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
-    kind, _, arguments = form.rpartition(":")
-    radii = numbers_in(word.removeprefix("radius=") for word in options if word != "no-shadow")
-    fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
-    if radii:
-        fields["radius"] = radii[0]
-    numbers, count = numbers_in(arguments.split(",")), {"": 2, "point": 3}.get(kind, 0)
-    where, irradiance = numbers[:count], numbers[count:] or [math.pi]
-    is_light = len(where) == count > 0 and len(irradiance) in (1, 3)
-    if len(options) != len(fields) or not (is_light or form in LIGHTS):
-        raise InputError(f"unknown light {shown(text)}; give {LIGHT_TEXTS}")
-    if form in LIGHTS:
-        return replace(LIGHTS[form], **fields)
-    fields["irradiance"] = irradiance if irradiance[1:] else irradiance[0]
-    if kind == "point":
-        return Light(position=where, **fields)  # type: ignore[arg-type]
-    return Light(where[0], where[1], **fields)

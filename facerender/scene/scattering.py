@@ -23,8 +23,7 @@ class Scattering:
     profiles : distinct profiles of the parts, without Gaussians narrower than half a pixel
     numbers : for each part the index of its profile, counted from 1; -1 for no scattering
     millimetres : millimetres per unit of the renderer's space
-    pixels : height in pixels of an object with height 1 at depth 1, both in the renderer's
-        space
+    pixels : height in pixels of an object with height 1 at depth 1, in the renderer's space
     """
 
     profiles: tuple[Gaussians, ...]
@@ -34,13 +33,9 @@ class Scattering:
 
 
 def scattering_of(scene: Scene, view: View, size: tuple[int, int]) -> Scattering | None:
-    """Return the scattering profiles of a scene for an image size.
-
-    view : view of the scene's camera
-
-    Return None if nothing scatters over more than half a pixel at the camera target's distance.
-    Raises InputError if the size of the mesh in millimetres is unknown.
-    """
+    """Return the scattering profiles of a scene for an image size; None if nothing scatters over
+    more than half a pixel at the camera target's distance. Raises InputError if the size of the
+    mesh in millimetres is unknown."""
     mesh = scene.mesh
     profiles_of_parts = [m.scattering if m.diffuse_weight > 0.0 else None for m in mesh.materials]
     if not any(profiles_of_parts):
@@ -53,10 +48,9 @@ def scattering_of(scene: Scene, view: View, size: tuple[int, int]) -> Scattering
     millimetres = mesh.radius * mesh.millimetres
     if not _RADII[0] <= millimetres <= _RADII[1]:  # the search for the face takes time
         emit(mesh, wrong_unit, wrong_unit(mesh))
-    camera = scene.camera
-    distance = float(np.linalg.norm(view.position - target_of(mesh, camera)))
-    pixels = 0.5 * size[1] / math.tan(math.radians(camera.fov) / 2.0)
-    if camera.intrinsics is not None:
+    distance = float(np.linalg.norm(view.position - target_of(mesh, scene.camera)))
+    pixels = 0.5 * size[1] / math.tan(math.radians(scene.camera.fov) / 2.0)
+    if scene.camera.intrinsics is not None:
         pixels = float(view.intrinsics(size)[1, 1])
     pixel = millimetres * distance / pixels
     wide = [wide_gaussians(profile, pixel) if profile else () for profile in profiles_of_parts]

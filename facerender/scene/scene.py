@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError, check_known, check_type, short_repr, shown
+from facerender.errors import InputError
 from facerender.mesh.mesh import Mesh
-from facerender.scene.camera import Camera, camera_of
+from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
-from facerender.scene.light import LIGHTS, Light, lights_of
-from facerender.values.ranges import check_fields, ranged
-from facerender.values.vectors import BACKGROUNDS, COLORS, Vector, numbers_in
+from facerender.scene.light import LIGHTS, Light
+from facerender.values.fields import Built, Several, field, record
+from facerender.values.vectors import BACKGROUNDS, COLORS, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,51 +27,16 @@ ONLY: tuple[Only, ...] = get_args(Only)
 ShadingRate = Literal["sample", "pixel"]
 SHADING_RATES: tuple[ShadingRate, ...] = get_args(ShadingRate)
 
-_BACKGROUND: Vector = (0.012, 0.013, 0.016)
+AMBIENT: Vector = (0.26, 0.28, 0.31)  # without an environment map
 
 
-def check_only(value: object) -> None:
-    """Raise InputError unless a value is in ONLY, or None for the whole image."""
-    if value is not None:
-        check_known("term", value, ONLY)
-
-
-def check_shading_rate(name: str, value: object) -> None:
-    """Raise InputError if a value is not in SHADING_RATES."""
-    if not isinstance(value, str) or value not in SHADING_RATES:
-        raise InputError(f"{name} = {shown(value)}: give {' or '.join(SHADING_RATES)}")
-
-
-def background_of(value: Any) -> Vector | None:
-    """Return a background colour, which may be given as text: ``R,G,B``, or ``none``. Raises
-    InputError if the text has another form, or a value is outside its range."""
-    if value is None or (isinstance(value, str) and value == "none"):
-        return None
-    numbers = tuple(numbers_in(value.split(","))) if isinstance(value, str) else value
-    if isinstance(value, str) and len(numbers) != 3:
-        raise InputError(
-            f"background = {shown(value)}: give 3 numbers in linear RGB, or none for a transparent "
-            "background"
-        )
-    color: Vector = BACKGROUNDS.check("background", numbers)
-    return color
-
-
-@dataclass(frozen=True, init=False)
+@record()
 class Scene:
     """A mesh with camera, lights, environment map and background.
 
     Parameters
     ----------
     mesh : a :class:`Mesh`, or any source that :func:`facerender.load_mesh` accepts
-    camera : a :class:`Camera`, or text: "front", "three-quarter", "profile", or
-        "AZIMUTH,ELEVATION,ZOOM", of which the last two may be left out
-    lights : each a :class:`Light`, or text: "key", "rim", "fill", "front", "top", or another text
-        of ``--light``, such as "key,no-shadow". None (default) for key, rim and fill, or for no
-        lights if there is an environment map
-    ambient : irradiance of uniform ambient light, one number or linear RGB. None (default) for
-        (0.26, 0.28, 0.31), or for 0 if there is an environment map
-    background : linear RGB behind the mesh, or None or "none" for a transparent background
     environment : environment map that lights the mesh but is not visible behind it, or any value
         that :func:`facerender.load_environment` accepts, or None
     before : the scene in the frame before, for motion vectors, or None. Its mesh has the same
@@ -80,52 +44,67 @@ class Scene:
     """
 
     mesh: Mesh
-    camera: Camera = Camera()
-    lights: tuple[Light, ...] = (LIGHTS["key"], LIGHTS["rim"], LIGHTS["fill"])
-    ambient: float | Vector = ranged(COLORS, (0.26, 0.28, 0.31))
-    background: Vector | None = ranged(BACKGROUNDS, _BACKGROUND)
+    camera: Camera = field(
+        Built(Camera),
+        Camera(),
+        f"a :class:`Camera`, or text: {ORBITS}",
+    )
+    lights: tuple[Light, ...] = field(
+        Several(Light),
+        None,
+        'each a :class:`Light`, or a text of ``--light``, such as "key" or "key,no-shadow". None '
+        "for key, rim and fill, or for no lights if there is an environment map",
+    )
+    ambient: float | Vector = field(
+        COLORS,
+        None,
+        "ambient irradiance, E or R,G,B",
+        unset=f"{','.join(map(str, AMBIENT))}; 0 with --environment",
+    )
+    background: Vector | None = field(
+        BACKGROUNDS,
+        (0.012, 0.013, 0.016),
+        "linear background colour R,G,B, or none for transparent",
+        ".jpg, .gif and .mp4 cannot be transparent",
+    )
     environment: Environment | None = None
     before: Scene | None = None
 
-    __repr__ = short_repr
+    if TYPE_CHECKING:
 
-    def __init__(
-        self,
-        mesh: Mesh | MeshSource,
-        camera: Camera | str = camera,
-        lights: Sequence[Light | str] | None = None,
-        ambient: float | Vector | None = None,
-        background: Vector | str | None = _BACKGROUND,
-        environment: EnvironmentSource | None = None,
-        before: Scene | None = None,
-    ) -> None:
-        if not isinstance(mesh, Mesh) and mesh is not None:
+        def __init__(
+            self,
+            mesh: Mesh | MeshSource | None,
+            camera: Camera | str = ...,
+            lights: Sequence[Light | str] | Light | str | None = ...,
+            ambient: float | Vector | None = ...,
+            background: Vector | str | None = ...,
+            environment: EnvironmentSource | None = ...,
+            before: Scene | None = ...,
+        ) -> None: ...
+
+    def __post_init__(self) -> None:
+        if self.mesh is None:  # load_mesh would return the built-in head
+            raise InputError("mesh = None: give a facerender.Mesh, or the path of a mesh file")
+        if not isinstance(self.mesh, Mesh):
             from facerender.loading import load_mesh
 
-            mesh = load_mesh(mesh)
-        check_type("mesh", mesh, Mesh, "a Mesh, as facerender.load_mesh(FILE) returns it")
-        check_type("before", before, Scene | None, "the facerender.Scene of the frame before")
-        if environment is not None and not isinstance(environment, Environment):
-            environment = load_environment(environment)
-        lights, ambient = default_light(lights, ambient, environment is not None)
-        values = {
-            "mesh": mesh,
-            "camera": camera_of(camera),
-            "lights": lights_of(lights),
-            "ambient": ambient,
-            "background": background_of(background),
-            "environment": environment,
-            "before": before,
-        }
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
-        check_fields(self)
+            object.__setattr__(self, "mesh", load_mesh(self.mesh))
+        if self.environment is not None and not isinstance(self.environment, Environment):
+            object.__setattr__(self, "environment", load_environment(self.environment))
+        set_default_light(self)
 
 
-def default_light(lights: Any, ambient: Any, has_environment: bool) -> tuple[Any, Any]:
-    """Return the lights and the ambient light of a scene. Replace None by the default: no
-    light with an environment map, otherwise the lights of :class:`Scene`."""
-    return (
-        (() if has_environment else Scene.lights) if lights is None else lights,
-        (0.0 if has_environment else Scene.ambient) if ambient is None else ambient,
-    )
+def default_lights(has_environment: bool) -> tuple[Light, ...]:
+    """Return the lights of a scene that does not define any: an environment map replaces them."""
+    return () if has_environment else tuple(LIGHTS[name] for name in ("key", "rim", "fill"))
+
+
+def set_default_light(scene: Any) -> None:
+    """Set the lights and the ambient light of a new scene or job that does not define them."""
+    has_environment = scene.environment is not None
+    # Key, rim and fill over an environment map would light the face twice.
+    if scene.lights is None:
+        object.__setattr__(scene, "lights", default_lights(has_environment))
+    if scene.ambient is None:
+        object.__setattr__(scene, "ambient", (0.0, 0.0, 0.0) if has_environment else AMBIENT)

@@ -10,21 +10,20 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, check_range, check_type
+from facerender.errors import InputError, check_range
 from facerender.material import Material
 from facerender.mesh.hints import emit_framing
 from facerender.mesh.mesh import Mesh, largest_opacity
 from facerender.mesh.part import Part, Region
-from facerender.scene.camera import Camera, Frame, distort
+from facerender.scene.camera import Camera, RegionName, distort
 from facerender.scene.scene import Scene
-from facerender.values.ranges import range_of
-from facerender.values.vectors import check_array, direction_to, within_reach
+from facerender.values.vectors import IMAGE_SIZES, check_array, direction_to, within_reach
 
 Float = NDArray[np.float64]
+Pair = tuple[int, int]  # width and height
 
 FRAMING_MARGIN = 1.04
 _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
-SIZES = range_of(Camera, "size")
 # Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
 _UNSEEN = 2e-4
 _CELLS = 64  # cells along each side of a part in the image, in which vertices hide others
@@ -55,9 +54,7 @@ class View:
         start, direction = (", ".join(f"{value:.4g}" for value in vector) for vector in vectors)
         return f"<View from ({start}) along ({direction})>"
 
-    def project(
-        self, mesh: Mesh, points: Float, size: int | tuple[int, int]
-    ) -> tuple[Float, Float]:
+    def project(self, mesh: Mesh, points: Float, size: int | Pair) -> tuple[Float, Float]:
         """Project points of mesh space to pixels, with the lens distortion, in float64.
 
         Parameters
@@ -72,9 +69,7 @@ class View:
             pixel's centre (0.5, 0.5). NaN at depths of 0 or less, and where the distortion folds
         depth : (N,), distance from the camera along the viewing direction, in mesh units
         """
-        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
-        size = SIZES.check("size", size)
-        points = np.asarray(points)
+        size, points = IMAGE_SIZES.check("size", size), np.asarray(points)
         check_array("points", points, 3)
         clip = self._clip(mesh, points)
         depth = clip[:, 2]
@@ -91,32 +86,26 @@ class View:
         rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
         return np.asarray(rows @ self.matrix[:, _XYW])
 
-    def shifted(self, pixels: tuple[float, float], size: int | tuple[int, int]) -> View:
-        """Return the view with its image, of the given size, moved by x ``pixels`` to the right and
-        y pixels down."""
+    def shifted(self, pixels: tuple[float, float], size: int | Pair) -> View:
+        """Return the view with its image, of the given size, moved right and down by ``pixels``."""
         move = np.eye(4)
         move[3, :2] = 2.0 * np.asarray(pixels) / size
         return replace(self, matrix=self.matrix @ move)
 
-    def intrinsics(self, size: int | tuple[int, int]) -> Float:
+    def intrinsics(self, size: int | Pair) -> Float:
         """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
-
-        Pixel x points right, y down. The image's top left corner is (0, 0); its first pixel's
-        centre is (0.5, 0.5). Values are rounded to 1e-9 pixels, so that a central principal point
-        is exact. See :meth:`extrinsics` for camera space.
-        """
-        width, height = np.divide(SIZES.check("size", size), 2.0)
+        See :meth:`extrinsics` for camera space, and :meth:`project` for pixels. Values are rounded
+        to 1e-9 pixels, so that a central principal point is exact."""
+        width, height = np.divide(IMAGE_SIZES.check("size", size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
 
     def extrinsics(self, mesh: Mesh) -> Float:
-        """Return the matrix [R|t], (3, 4), that maps mesh space to camera space.
-
-        Camera space has the camera at 0, x to the right, y down, z forward, and mesh units.
+        """Return the matrix [R|t], (3, 4), that maps mesh space to camera space, which has the
+        camera at 0, x to the right, y down, z forward, and mesh units.
 
         mesh : the scene's mesh, or one with the same bounds
         """
-        check_type("mesh", mesh, Mesh, "a facerender.Mesh")
         pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
         pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
         return pose
@@ -134,28 +123,22 @@ class View:
 
 
 def sample_grid(count: int) -> Float:
-    """Return evenly distributed sample positions in a pixel, (count, 2) in [-0.5, 0.5].
-
-    These are Hammersley points; see Niederreiter (1992), "Random number generation and quasi-Monte
-    Carlo methods", section 3.1.
-    """
+    """Return evenly distributed sample positions in a pixel, (count, 2) in [-0.5, 0.5]: Hammersley
+    points. See Niederreiter (1992), "Random number generation and quasi-Monte Carlo methods",
+    section 3.1."""
     index = np.arange(count)
-    turned, digit = np.full(count, 0.5 / count), 0.5
+    inverse = np.full(count, 0.5 / count)
     for bit in range(int(count - 1).bit_length()):
-        turned += digit * (index >> bit & 1)
-        digit /= 2.0
-    return np.stack([(index + 0.5) / count, turned], axis=-1) - 0.5
+        inverse += 0.5 ** (bit + 1) * (index >> bit & 1)
+    return np.stack([(index + 0.5) / count, inverse], axis=-1) - 0.5
 
 
 def view_of(scene: Scene, aspect: float) -> View:
     """Return the view of a scene's camera for images of the given aspect ratio, width / height.
 
-    Raises
-    ------
-    InputError : the camera is at its target, the camera or its target is more than 1e6 mesh radii
-        from the mesh's centre, or the camera's intrinsics are for another aspect ratio
+    Raises InputError if the camera is at its target, if the camera or its target is more than 1e6
+    mesh radii from the mesh's centre, or if the camera's intrinsics are for another aspect ratio.
     """
-    check_type("scene", scene, Scene, "a facerender.Scene")
     check_range("aspect", aspect, 1e-6, 1e6)
     mesh, camera = scene.mesh, scene.camera
     if camera.extrinsics is not None:
@@ -165,12 +148,12 @@ def view_of(scene: Scene, aspect: float) -> View:
     target = target_of(mesh, camera)
     if camera.position is None:
         angles = camera.elevation, camera.fov, aspect
-        make = lambda: _framing_distance(  # noqa: E731
-            (region_of(mesh, camera.frame) or mesh).profile, *angles
+        framed = region_of(mesh, camera.frame) or mesh
+        distance = mesh.geometry.derived.of(
+            "distance", (camera.frame, *angles), lambda: _framing_distance(framed.profile, *angles)
         )
-        distance = mesh.geometry.derived.of("distance", (camera.frame, *angles), make)
-        distance /= camera.zoom
-        eye = target + distance * direction_to(camera.azimuth, camera.elevation)
+        direction = direction_to(camera.azimuth, camera.elevation)
+        eye = target + distance / camera.zoom * direction
     else:
         eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
     gaze = target - eye
@@ -182,31 +165,27 @@ def view_of(scene: Scene, aspect: float) -> View:
     if abs(forward[1]) > 0.9999:  # from above, the image's top shows the back of the head
         up = -direction_to(camera.azimuth, 0.0) * np.sign(-forward[1])
     elif camera.position is not None and camera.azimuth:
-        raise InputError(
-            f"camera azimuth = {camera.azimuth:g} and position exclude each other, unless the "
-            "camera looks straight up or down: leave one out"
-        )
+        pair = f"camera azimuth = {camera.azimuth:g} and position exclude each other"
+        raise InputError(f"{pair}, unless the camera looks straight up or down: leave one out")
     lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
     return View(eye, forward, _look(eye, target, up) @ lens)
 
 
-def shifted(scene: Scene, x: float, y: float, size: int | tuple[int, int]) -> Scene:
+def shifted(scene: Scene, x: float, y: float, size: int | Pair) -> Scene:
     """Return the scene with its image, of the given size, moved x pixels right and y pixels down.
 
-    Raises
-    ------
-    InputError : an invalid size, x or y outside [-1e6, 1e6], or an error of :func:`view_of`
+    Raises InputError for an invalid size, for x or y outside [-1e6, 1e6], and as :func:`view_of`.
     """
-    width, height = size = SIZES.check("size", size)
-    for name, value in (("x", x), ("y", y)):
-        check_range(name, value, -1e6, 1e6)
+    width, height = size = IMAGE_SIZES.check("size", size)
+    check_range("x", x, -1e6, 1e6)
+    check_range("y", y, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)
     pose, lens = view.extrinsics(scene.mesh), view.intrinsics(size)
     camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
     return replace(scene, camera=camera)
 
 
-def region_of(mesh: Mesh, frame: Frame) -> Region | None:
+def region_of(mesh: Mesh, frame: RegionName) -> Region | None:
     """Return the region of a mesh that a camera frames; None for the whole mesh."""
     return None if frame == "all" else mesh.regions[frame]
 
@@ -230,10 +209,8 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
     if camera.intrinsics is not None and camera.size is not None:
         width, height = camera.size
         if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
-            raise InputError(
-                f"camera intrinsics are for images of {width} x {height} pixels: give a size with "
-                "this aspect ratio"
-            )
+            images = f"images of {width} x {height} pixels: give a size with this aspect ratio"
+            raise InputError(f"camera intrinsics are for {images}")
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
         lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
@@ -275,10 +252,9 @@ def _projection(fov: float, aspect: float, depth: float, reach: float) -> Float:
 def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     """Return the reason why an image of the given size shows nothing of the mesh, and a remedy. For
     ``threshold`` see :func:`facerender.drawing.frame.check_images`."""
-    width, height = size
-    view = view_of(scene, width / height)
-    places = np.concatenate([part.positions for part in scene.mesh.parts])
-    pixels, depth = view.project(scene.mesh, places, (width, height))
+    mesh, view = scene.mesh, view_of(scene, size[0] / size[1])
+    positions = np.concatenate([part.positions for part in mesh.parts])
+    pixels, depth = view.project(mesh, positions, (size[0], size[1]))
     if not (depth > 0.0).any():
         return "all of it lies behind the camera; turn the camera, or move it back"
     pixels = pixels[np.isfinite(pixels).all(axis=-1)]
@@ -289,8 +265,8 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     if (inside := (np.abs(x) <= 1.0) & (np.abs(y) <= 1.0)).any():
         if extent < 2.0:
             return f"it is {extent:.2g} pixels large; move the camera nearer, or zoom in"
-        drawn = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-        causes = [_not_drawn(scene.mesh, *item, view, threshold) for item in drawn]
+        pairs = zip(mesh.parts, mesh.materials, strict=True)
+        causes = [_not_drawn(mesh, *pair, view, threshold) for pair in pairs]
         if all(causes):
             return "; ".join(dict.fromkeys(causes))
         return (
@@ -302,45 +278,34 @@ def hidden(scene: Scene, size: tuple[int, ...], threshold: float | None) -> str:
     return f"it lies {' and '.join(ways) or 'around'} the frame; set camera target, or position"
 
 
-def _not_drawn(
-    mesh: Mesh, part: Part, material: Material, view: View, threshold: float | None
-) -> str:
+def _not_drawn(mesh: Mesh, part: Part, material: Material, view: View, cutoff: float | None) -> str:
     """Return why no fragment of a part is drawn, and a remedy; "" if its triangles are drawn."""
     name = part.name or "it"
     if material.double_sided is False:
         a, b, c = np.moveaxis(mesh.normalised(part.positions)[part.faces], 1, 0)
         if not (np.einsum("ij,ij->i", np.cross(b - a, c - a), view.position - a) > 0.0).any():
             return f"{name} shows only back faces; give --double-sided, or turn the camera"
-    if threshold is not None and material.thin:
+    if cutoff is not None and material.thin:
         return f"{name} transmits light, and data images omit such parts; draw the image itself"
     opacity = largest_opacity(part, material)
-    limits = {"blend": threshold or 1e-9, "mask": material.alpha_cutoff, "opaque": 0.0}
+    limits = {"blend": cutoff or 1e-9, "mask": material.alpha_cutoff, "opaque": 0.0}
     if opacity >= limits[material.alpha]:
         return ""
-    option = "a lower --alpha-threshold" if threshold and material.alpha == "blend" else ""
+    option = "a lower --alpha-threshold" if cutoff and material.alpha == "blend" else ""
     option = option or f"--part '{part.name or '*'},alpha=opaque'"
     return f"the opacity of {name} is at most {opacity:.2g}; give {option}"
 
 
 def levels_to_spare(
-    mesh: Mesh,
-    part: Part,
-    uv: Float,
-    texels: tuple[int, int],
-    view: View,
-    size: tuple[int, int],
-    anisotropy: float = 1.0,
+    mesh: Mesh, part: Part, uv: Float, texels: Pair, view: View, size: Pair, anisotropy: float = 1.0
 ) -> int:
     """Return how many of a map's finest mip levels are not read for an image of the given view.
 
     A triangle reads the level log2(t), where t is the number of texels along the longer axis of a
     pixel's footprint (OpenGL 3.3, section 3.8.11). Anisotropic filtering divides t by the
-    anisotropy (EXT_texture_filter_anisotropic). Triangles that the part itself hides, such as the
-    inside of a closed mouth, do not count.
+    anisotropy (EXT_texture_filter_anisotropic), which is 1 without it.
 
-    part, uv : part of the mesh, and its texture coordinates
-    texels, size : width and height of the map, and of the image
-    anisotropy : degree of anisotropic filtering, at least 1 (isotropic)
+    uv, texels : texture coordinates of the part; width and height of the map
     """
     clip = view._clip(mesh, part.positions)
     w = clip[:, 2]
@@ -352,18 +317,18 @@ def levels_to_spare(
     pixels = clip[:, :2] / np.maximum(w, 1e-6)[:, None] * half
     corners, coordinates = pixels[faces], (uv * texels)[faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
-    shown = np.clip(np.minimum(high, half) - np.maximum(low, -half), 0.0, None)
-    across, along = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
-    double = across[:, 0] * along[:, 1] - across[:, 1] * along[:, 0]
+    extent = np.clip(np.minimum(high, half) - np.maximum(low, -half), 0.0, None)
+    (x1, y1), (x2, y2) = np.moveaxis(corners[:, 1:] - corners[:, :1], 0, -1)[..., None]
+    double = (x1 * y2 - y1 * x2)[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         # Estimates the visible fraction of a triangle by the visible fraction of its bounding box.
-        area = np.abs(double) * np.nan_to_num(np.prod(shown / (high - low), axis=1))
+        area = np.abs(double) * np.nan_to_num(np.prod(extent / (high - low), axis=1))
         first, second = np.moveaxis(coordinates[:, 1:] - coordinates[:, :1], 1, 0)
-        by_x = (first * along[:, 1:] - second * across[:, 1:]) / double[:, None]
-        by_y = (second * across[:, :1] - first * along[:, :1]) / double[:, None]
+        by_x = (first * y2 - second * y1) / double[:, None]
+        by_y = (second * x1 - first * x2) / double[:, None]
         read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
-    hidden = _hidden(pixels / half, w)[faces].all(axis=1)
-    visible = (area > 0.0) & np.isfinite(read) & ~hidden
+    # Triangles that the part itself hides, such as the inside of a closed mouth, do not count.
+    visible = (area > 0.0) & np.isfinite(read) & ~_hidden(pixels / half, w)[faces].all(axis=1)
     if not visible.any():
         return 0
     area, read = area[visible], read[visible]
@@ -373,16 +338,15 @@ def levels_to_spare(
     return max(min(math.floor(math.log2(max(finest, 1.0))), limit), 0)
 
 
-def _hidden(places: Float, depth: Float) -> NDArray[np.bool_]:
-    """Return which vertices are behind the others: behind the nearest vertices of their cell and of
-    all eight cells around it, in a grid over their part of the image. A cell without vertices hides
-    nothing.
+def _hidden(positions: Float, depth: Float) -> NDArray[np.bool_]:
+    """Return which vertices are behind the nearest vertices of their cell and of all eight cells
+    around it, in a grid over their part of the image. A cell without vertices hides nothing.
 
-    places, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
+    positions, depth : x and y from -1 to 1 in the image, and distance from the camera, per vertex
     """
-    shown = np.clip(places, -1.0, 1.0)
-    low, high = shown.min(axis=0), shown.max(axis=0)
-    cells = np.clip((places - low) / np.maximum(high - low, 1e-9) * _CELLS, -1.0, _CELLS)
+    inside = np.clip(positions, -1.0, 1.0)
+    low, high = inside.min(axis=0), inside.max(axis=0)
+    cells = np.clip((positions - low) / np.maximum(high - low, 1e-9) * _CELLS, -1.0, _CELLS)
     indices = np.floor(cells).astype(np.int64) + 1
     nearest = np.full((_CELLS + 2, _CELLS + 2), np.inf)
     np.minimum.at(nearest, tuple(indices.T), np.where(depth > 0.0, depth, np.inf))
@@ -392,16 +356,14 @@ def _hidden(places: Float, depth: Float) -> NDArray[np.bool_]:
 
 
 def _framing_distance(profile: Float, elevation: float, fov: float, aspect: float) -> float:
-    """Return the camera distance at which a profile fits into the view at every azimuth.
-
-    The distance includes FRAMING_MARGIN. Relative to the orbiting camera, a vertex at height y and
-    distance r from the axis moves on a circle. top, bottom and side are the camera distances at
-    which the circle touches the top, bottom and side edges of the view.
-    """
+    """Return the camera distance, with FRAMING_MARGIN, at which a profile fits into the view at
+    every azimuth."""
     r, y = profile.T
     sine, cosine = math.sin(math.radians(elevation)), math.cos(math.radians(elevation))
     vertical = math.tan(math.radians(fov) / 2.0)
     horizontal = vertical * aspect
+    # Relative to the orbiting camera, a vertex at height y and distance r from the axis moves on a
+    # circle. At these camera distances, the circle touches the edges of the view.
     top = y * (sine + cosine / vertical) + r * abs(cosine - sine / vertical)
     bottom = y * (sine - cosine / vertical) + r * abs(cosine + sine / vertical)
     side = y * sine + r * math.hypot(1.0 / horizontal, cosine)

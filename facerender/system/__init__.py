@@ -1,4 +1,8 @@
-"""Files, cache, memory, signals and progress."""
+"""Files, the disk cache, memory, signals and progress: all that depends on the operating system.
+
+The package exists so that no other package handles a system error, a signal or a partial file.
+Paths and bytes flow in and out. Rules: only regular files of limited size are read, and an output
+is written completely or not at all, also if a signal ends the process."""
 
 import os
 

@@ -30,8 +30,7 @@ def folder() -> Path:
 
 
 def limit() -> int:
-    """Return the largest size of the cache in bytes. Raise InputError if FACERENDER_CACHE_MIB is
-    not an integer >= 0."""
+    """Return the largest size of the cache in bytes, from FACERENDER_CACHE_MIB."""
     text = os.environ.get(_LIMIT) or "1024"
     if not text.isdecimal():
         raise InputError(f"{_LIMIT} = {text!r}: give a whole number of MiB; 0 disables the cache")
@@ -43,12 +42,12 @@ def size() -> int:
     return sum(count for _, count, _ in _entries())
 
 
-def read(kind: str, name: str) -> memoryview | None:
+def read(group: str, name: str) -> memoryview | None:
     """Return the content of a cache entry, mapped copy-on-write from its file. Return None if the
-    entry is missing or damaged, or the cache is disabled. Errors as in :func:`limit`."""
+    entry is missing or damaged, or the cache is disabled."""
     if not limit():
         return None
-    path = folder() / kind / name
+    path = folder() / group / name
     try:
         with open_file(path, "an entry") as file:
             data = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY))
@@ -61,10 +60,9 @@ def read(kind: str, name: str) -> memoryview | None:
     return content if intact else None
 
 
-def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
+def write(group: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
     """Write a cache entry that consists of consecutive pieces, and remove the least recently used
-    entries beyond the limit. An entry that alone exceeds the limit is not written. Errors as in
-    :func:`limit`."""
+    entries beyond the limit. An entry that alone exceeds the limit is not written."""
     if _START + sum(memoryview(piece).nbytes for piece in pieces) > limit():
         return
     checksum = 0
@@ -76,7 +74,7 @@ def write(kind: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
         with open(temporary, "wb") as file:
             file.writelines([head, *pieces])
 
-    path = folder() / kind / name
+    path = folder() / group / name
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         folder().chmod(0o700)  # other users must not read scans of patients

@@ -1,6 +1,4 @@
-"""Read untrusted files safely, and write output files completely or not at all.
-
-Only regular files are read, and only up to a maximum size."""
+"""Read untrusted files safely, and write output files completely or not at all."""
 
 from __future__ import annotations
 
@@ -30,13 +28,7 @@ _REMEDIES = {
 
 
 def check_writable(path: str | os.PathLike[str]) -> Path:
-    """Return ``path`` as a Path, if a file can be written or replaced there.
-
-    Raises
-    ------
-    InputError : the folder is missing or not writable, the name is too long, or the path exists and
-        is not a regular file
-    """
+    """Return ``path`` as a Path. Raise InputError unless a regular file can be written there."""
     target, mode = Path(path), stat.S_IFREG
     try:
         with suppress(FileNotFoundError):
@@ -49,14 +41,13 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
             f"cannot write {target}: {reason(error)}; give a file in a writable folder"
         ) from None
     if not stat.S_ISREG(mode):
-        kind = "a directory" if stat.S_ISDIR(mode) else "not a regular file"
-        raise InputError(f"cannot write {target}: it is {kind}; give a file name")
+        fault = _FILE_TYPES[stat.S_IFDIR] if stat.S_ISDIR(mode) else "not a regular file"
+        raise InputError(f"cannot write {target}: it is {fault}; give a file name")
     return target
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder for results, with its parents, and return its path. Raise InputError if it
-    cannot be created."""
+    """Create a folder for results, with its parents, and return its path."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -69,11 +60,11 @@ class CannotUse(InputError):
 
 
 @contextmanager
-def reported(action: str, place: object, then: str = "or give another path") -> Iterator[None]:
+def reported(action: str, path: object, then: str = "or give another path") -> Iterator[None]:
     """Raise CannotUse for an OSError within the context, for example if a disk is full.
 
     action : "write" or "read", for the message
-    place : the file or folder
+    path : the file or folder
     then : end of the message, after the remedy
     """
     try:
@@ -83,13 +74,12 @@ def reported(action: str, place: object, then: str = "or give another path") -> 
         remedy, why = _REMEDIES.get(number, "correct this"), reason(error)
         if number in _REMEDIES:  # pyarrow's errors have the system's number but another text
             why = os.strerror(number).lower()
-        raise CannotUse(f"cannot {action} {place}: {why}; {remedy}, {then}") from None
+        raise CannotUse(f"cannot {action} {path}: {why}; {remedy}, {then}") from None
 
 
 def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
     """Call ``write`` with a temporary path in the folder of ``path``, then rename the temporary
-    file to ``path``. Raise InputError as :func:`check_writable`, or if writing fails, for example
-    on a full disk."""
+    file to ``path``."""
     target = check_writable(path)
     temporary = target.with_name(f"{TEMPORARY}{os.urandom(8).hex()}")
 
@@ -113,24 +103,23 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
-    """Write a file completely or not at all; errors as in :func:`write_whole`."""
+    """Write a file completely or not at all; see :func:`write_whole`."""
     write_whole(path, lambda name: Path(name).write_bytes(content))
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write text as UTF-8; errors as in :func:`write_whole`. Invalid bytes, which file names
-    may contain, are escaped."""
+    """Write text as UTF-8. Invalid bytes, which file names may contain, are escaped."""
     write_bytes(path, text.encode(errors="backslashreplace"))
 
 
-MOST = 1 << 30  # default size limit of a file in bytes
+MAX_FILE_BYTES = 1 << 30  # default size limit of a file in bytes
 # Matches a dotted TOML key with more parts than any key of a valid table. It is refused because the
 # parser's time and memory grow quadratically with the number of parts.
 _DEEP_KEY = re.compile(
     r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
 )
 # First bytes, in lower case, of a placeholder instead of the content, or of a PNG image whose line
-# ends or encoding were converted: bytes, kind, remedy.
+# ends or encoding were converted: bytes, description, remedy.
 _NOT_DOWNLOADED = (
     (b"version https://git-lfs", "a Git LFS pointer", "fetch it with git lfs pull"),
     (b"<!doctype html", "an HTML page", "download the file itself"),
@@ -140,7 +129,7 @@ _NOT_DOWNLOADED = (
         for start in (b"\x89png\n", b"\x89png\r\r\n", b"\x89png\r\n\x1a\r\n", b"\xef\xbf\xbdpng")
     ),
 )
-_KINDS = {
+_FILE_TYPES = {
     stat.S_IFDIR: "a directory",
     stat.S_IFIFO: "a pipe",
     stat.S_IFSOCK: "a socket",
@@ -148,66 +137,59 @@ _KINDS = {
 }
 
 
-def check_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> None:
+def check_file(path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES) -> None:
     """Raise InputError unless a path is the name of a regular file. Other files are refused: a pipe
     may block, and a device may never end.
 
     what : description of the expected file for messages, such as "an image file"
     most : maximum size in bytes
     """
-    shown = clipped(os.fsdecode(path))
-    if not shown:
+    name = clipped(os.fsdecode(path))
+    if not name:
         raise InputError(f"the name of a file is empty; give {what}")
     try:
-        facts = os.stat(path)
+        status = os.stat(path)
     except (OSError, ValueError) as error:  # ValueError: an invalid file name
-        raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
-    if not stat.S_ISREG(facts.st_mode):
-        kind = _KINDS.get(stat.S_IFMT(facts.st_mode), "not a regular file")
-        raise InputError(f"{shown} is {kind}; give {what}")
-    if facts.st_size > most:
-        raise InputError(f"{shown} has {facts.st_size} bytes, but the limit is {most}; give {what}")
+        raise InputError(f"cannot read {name}: {reason(error)}; give {what}") from None
+    if not stat.S_ISREG(status.st_mode):
+        file_type = _FILE_TYPES.get(stat.S_IFMT(status.st_mode), "not a regular file")
+        raise InputError(f"{name} is {file_type}; give {what}")
+    if status.st_size > most:
+        raise InputError(f"{name} has {status.st_size} bytes, but the limit is {most}; give {what}")
 
 
 def suffix_of(
-    path: str | os.PathLike[str], known: Sequence[str], kind: str, what: str, most: int = MOST
+    path: str | os.PathLike[str],
+    known: Sequence[str],
+    noun: str,
+    what: str,
+    most: int = MAX_FILE_BYTES,
 ) -> str:
-    """Return the suffix of a file, in lower case.
-
-    Parameters
-    ----------
-    kind : kind of the file for messages, such as "image"
-    what, most : see :func:`check_file`, which also lists the errors
-
-    Raises
-    ------
-    InputError : the suffix is unknown
-    """
+    """Return the suffix of a file, in lower case, as :func:`check_suffix` does. For ``what``,
+    ``most`` and further errors see :func:`check_file`."""
     name = clipped(os.fsdecode(path))
     beside = (f"{name}{end}" for end in known if os.path.isfile(f"{os.fsdecode(path)}{end}"))
     check_file(path, next(beside, what), most)
-    return check_suffix(path, known, kind)
+    return check_suffix(path, known, noun)
 
 
-def check_suffix(path: str | os.PathLike[str], known: Sequence[str], kind: str) -> str:
-    """Return the suffix of a path, which need not exist, in lower case; see :func:`suffix_of`."""
+def check_suffix(path: str | os.PathLike[str], known: Sequence[str], noun: str) -> str:
+    """Return the suffix of a path, which need not exist, in lower case. Raise InputError if it is
+    unknown; ``noun`` names the file in messages, such as "image"."""
     name, suffix = clipped(os.fsdecode(path)), Path(path).suffix.lower()
     formats = " or ".join(filter(None, [", ".join(known[:-1]), known[-1]]))
     if not suffix:
-        raise InputError(f"{name} has no suffix, which sets the {kind} format; give {formats}")
+        raise InputError(f"{name} has no suffix, which sets the {noun} format; give {formats}")
     if suffix not in known:
-        raise InputError(f"{name}: unknown {kind} format {clipped(suffix, 40)!r}; give {formats}")
+        raise InputError(f"{name}: unknown {noun} format {clipped(suffix, 40)!r}; give {formats}")
     return suffix
 
 
 @contextmanager
-def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iterator[BinaryIO]:
-    """Open a regular file.
-
-    Raises
-    ------
-    InputError : reading the file fails; parameters and other errors as in :func:`check_file`
-    """
+def open_file(
+    path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES
+) -> Iterator[BinaryIO]:
+    """Open a regular file. Raise InputError as :func:`check_file`, or if reading fails."""
     check_file(path, what, most)
     try:
         with Path(path).open("rb") as file:
@@ -215,11 +197,11 @@ def open_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> Iter
     except InputError:
         raise
     except (OSError, ValueError) as error:
-        shown = clipped(os.fsdecode(path))
-        raise InputError(f"cannot read {shown}: {reason(error)}; give {what}") from None
+        name = clipped(os.fsdecode(path))
+        raise InputError(f"cannot read {name}: {reason(error)}; give {what}") from None
 
 
-def read_file(path: str | os.PathLike[str], what: str, most: int = MOST) -> bytes:
+def read_file(path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES) -> bytes:
     """Return the content of a regular file; parameters and errors as in :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
@@ -241,18 +223,13 @@ def check_downloaded(content: bytes, subject: str) -> None:
     subject : start of the message, such as "a.png is" or "head.glb is not glTF but"
     """
     start = content[:64].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
-    for beginning, kind, remedy in _NOT_DOWNLOADED:
+    for beginning, content_type, remedy in _NOT_DOWNLOADED:
         if start.startswith(beginning):
-            raise InputError(f"{subject} {kind}; {remedy}")
+            raise InputError(f"{subject} {content_type}; {remedy}")
 
 
 def tables_of(content: bytes, name: str) -> dict[str, Any]:
-    """Return the tables of a TOML file, with or without a byte order mark.
-
-    Raises
-    ------
-    InputError : the file is not TOML, is nested too deep, or has an integer of thousands of digits
-    """
+    """Return the tables of a TOML file, with or without a byte order mark."""
     import tomllib
 
     try:
@@ -269,6 +246,5 @@ def tables_of(content: bytes, name: str) -> dict[str, Any]:
 
 def data_dir(name: str) -> Path:
     """Return the data folder ``name``: in the installed package, or next to it in a checkout."""
-    package = Path(__file__).parents[1]
-    installed = package / name
-    return installed if installed.is_dir() else package.parent / name
+    installed = Path(__file__).parents[1] / name
+    return installed if installed.is_dir() else Path(__file__).parents[2] / name

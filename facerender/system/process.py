@@ -1,4 +1,4 @@
-"""The process: standard error, used and available memory, and the progress of long operations."""
+"""The process: optional packages, standard error, memory, and the progress of long operations."""
 
 from __future__ import annotations
 
@@ -10,15 +10,25 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from facerender.errors import InputError
 from facerender.system.signals import if_ended
 
 _LOCK = threading.Lock()
+
+
+def optional(module: str, message: str) -> Any:
+    """Import a module of a package that may be missing; raise InputError with the message then."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(message) from None
 
 
 @contextmanager

@@ -17,16 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError
 from facerender.terms.lobe import check_slope
-from facerender.terms.model import (
-    K_COOK_TORRANCE,
-    MIN_COSINE,
-    checked_unit,
-    cook_torrance,
-    dot,
-    ward,
-)
+from facerender.terms.model import MIN_COSINE, checked_unit, cook_torrance, dot, ward
 
 Float = NDArray[np.float64]
+
+_checked_slope = partial(check_slope, name="exact", k=4)  # all models have this domain
 
 ENDS = (0.05, 1.0)  # Range of m; values outside are clamped.
 LOWEST = 0.02  # Lowest square root of the cosine; smaller values are clamped.
@@ -129,7 +124,7 @@ def slope_sample(n: ArrayLike, m: ArrayLike, u: ArrayLike) -> Float:
 
     References: Walter et al. (2007), eq. 28; Duff et al. (2017) for the tangent frame.
     """
-    normal, slope = checked_unit("n", n), check_slope(m, "exact", K_COOK_TORRANCE)
+    normal, slope = checked_unit("n", n), _checked_slope(m)
     first, second = _checked_random(u, 2)
     x, y, z = (normal[..., i] for i in range(3))
     side = np.where(z >= 0.0, 1.0, -1.0)
@@ -170,12 +165,8 @@ def cook_torrance_sample(n: ArrayLike, v: ArrayLike, m: ArrayLike, u: ArrayLike)
 def cook_torrance_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
     """Return the density G1 D/(4 N.V) of :func:`cook_torrance_sample` at l, in 1/sr.
 
-    The density is 0 if N.V or N.L + N.V is at most 1e-6.
-
-    Parameters
-    ----------
-    n, l, v : unit vectors: normal, direction to the light, direction to the camera
-    m : RMS slope, in [1e-4, 2]
+    The density is 0 if N.V or N.L + N.V is at most 1e-6. For n, v and m see that function; l is the
+    unit vector to the light.
     """
     n_dot_v, n_dot_h, h_dot_h, tan2, slope = _half(n, l, v, m)
     above = np.minimum(n_dot_v, n_dot_h) > MIN_COSINE
@@ -227,7 +218,7 @@ def _half(
     cross = np.cross(normal, h)
     above = n_dot_h > MIN_COSINE
     tan2 = np.where(above, dot(cross, cross) / np.where(above, n_dot_h, 1.0) ** 2, 0.0)
-    return n_dot_v, n_dot_h, dot(h, h), tan2, check_slope(m, "exact", K_COOK_TORRANCE)
+    return n_dot_v, n_dot_h, dot(h, h), tan2, _checked_slope(m)
 
 
 def _mirrored(v: Float, h: Float) -> Float:
@@ -279,22 +270,22 @@ def environment_radiance(map: ArrayLike, size: int, l: ArrayLike, solid_angle: A
     """
     x, y, z = np.moveaxis(np.asarray(l, dtype=np.float64), -1, 0)
     norm = np.abs(x) + np.abs(y) + np.abs(z)
-    place = np.stack([x, z], axis=-1) / norm[..., None]
-    folded = (1.0 - np.abs(place[..., ::-1])) * np.where(place >= 0.0, 1.0, -1.0)
-    place = 0.5 * np.where((y < 0.0)[..., None], folded, place) + 0.5
+    position = np.stack([x, z], axis=-1) / norm[..., None]
+    folded = (1.0 - np.abs(position[..., ::-1])) * np.where(position >= 0.0, 1.0, -1.0)
+    position = 0.5 * np.where((y < 0.0)[..., None], folded, position) + 0.5
     texels = np.asarray(solid_angle) * (0.5 * size) ** 2 / norm**3
     last = int(size).bit_length() - 1 - _COARSEST
     level = np.clip(0.5 * np.log2(np.maximum(texels, 1e-30)), 0.0, last)
     low = np.minimum(np.floor(level), last - 1).astype(int)
     share = (level - low)[..., None]
-    near, far = (level_at(np.asarray(map), size, place, low + i) for i in (0, 1))
+    near, far = (level_at(np.asarray(map), size, position, low + i) for i in (0, 1))
     return np.asarray((1.0 - share) * near + share * far)
 
 
-def level_at(map: NDArray[np.generic], size: int, place: Float, level: NDArray[np.int64]) -> Float:
+def level_at(map: NDArray[np.generic], size: int, point: Float, level: NDArray[np.int64]) -> Float:
     """Return the values (..., 3) of a map at positions (..., 2) in [0, 1], in levels (...)."""
     side = size >> level
-    texel = place * side[..., None] + 0.5
+    texel = point * side[..., None] + 0.5
     low = np.floor(texel)
     share = texel - low
     column = low[..., 0].astype(int) + 2 * (size - side + level)
@@ -356,14 +347,12 @@ def reflected(
     The result is the mean of BRDF (N.L) (radiance of the map)/density over the samples. The density
     of the samples is E/(4 π m² (N.H)³ (V.H)).
 
-    Parameters
-    ----------
     brdf : function of n, l, v (K, 3) and m (K,)
 
     For the other parameters see :func:`environment_cook_torrance`.
     """
     normal, eye = np.broadcast_arrays(checked_unit("n", n), checked_unit("v", v))
-    slope = np.broadcast_to(check_slope(m, "exact", K_COOK_TORRANCE), normal.shape[:-1])
+    slope = np.broadcast_to(_checked_slope(m), normal.shape[:-1])
     n_dot_v, axes = dot(normal, eye), environment_axes(normal, eye)
     total = np.zeros(normal.shape)
     for i in range(samples):
@@ -405,8 +394,6 @@ def environment_sample(
 ) -> tuple[Float, Float]:
     """Return direction (..., 3) and solid angle (...), in sr, of one sample of the lobe.
 
-    Parameters
-    ----------
     axes : result of :func:`environment_axes`
     towards : direction of the slope relative to `axes`, (2,)
     i : index of the slope, from 0 to samples/2 - 1

@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_known
-from facerender.values.ranges import IntegerRange, Range, check_fields, ranged
+from facerender.values import fields as values
+from facerender.values.fields import IntegerRange, Range
 
 ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 
@@ -27,8 +28,6 @@ ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 class Entry:
     """A term of the registry.
 
-    Attributes
-    ----------
     name : name in options and scene files, for example "v-cavity"
     file : library file that defines the term, for example "masking/v_cavity"
     call : GLSL expression of the term; each subclass documents the variables of the expression
@@ -52,14 +51,9 @@ def registry(*entries: E) -> dict[str, E]:
     return {entry.name: entry for entry in entries}
 
 
-def named(kind: str, entries: Mapping[str, E], name: object) -> E:
-    """Return the entry with this name.
-
-    Raises
-    ------
-    InputError : an unknown name
-    """
-    check_known(kind, name, entries)
+def named(noun: str, entries: Mapping[str, E], name: object) -> E:
+    """Return the entry with this name."""
+    check_known(noun, name, entries)
     return entries[str(name)]
 
 
@@ -77,8 +71,6 @@ TITLES = {4: "Cook-Torrance", 0: "Ward"}  # Names of the models, keyed by k.
 class Lobe(Entry):
     """A lobe. The GLSL call uses float c, m and int k; the macro is FR_LOBE_NAME.
 
-    Attributes
-    ----------
     number : value of the macro, unique
     evaluate : float64 reference; checks the domain
     ends : upper end of the domain of m, keyed by k; the lower end is MIN_SLOPE
@@ -126,12 +118,7 @@ class Lobe(Entry):
         return np.asarray((slope >= MIN_SLOPE * (1.0 - 1e-6)) & below_end)
 
     def end(self, k: int) -> float:
-        """Return the upper end of the domain of m.
-
-        Raises
-        ------
-        InputError : k is neither 4 nor 0
-        """
+        """Return the upper end of the domain of m."""
         if k not in self.ends:
             raise InputError(f"k = {k} is neither 4 (Cook-Torrance) nor 0 (Ward)")
         return self.ends[k]
@@ -187,29 +174,21 @@ class PowerPolynomial:
         return np.maximum(1.0 + p, 0.0) ** self.power
 
 
-@dataclass(frozen=True)
+@values.record("g-power ")
 class GPower:
     """A g-power lobe with free steepness s: max(1 - s (1 - cos γ), 0)^g, s = factor/m² - offset.
 
-    Parameters
-    ----------
-    g : power, in 1 to 31; D4, D8 and D16 have the factor 2/g and the offset k/g
-    factor : factor of 1/m² in s, in [1e-9, 1e6]
-    offset : number subtracted from factor/m², in [-1e6, 1e6]; the domain of m ends where s = 0
+    References: Romanyuk et al. (2020); Lyon (1993) for the clamp."""
 
-    Raises
-    ------
-    InputError : a value is outside its range
-
-    References: Romanyuk et al. (2020); Lyon (1993) for the clamp.
-    """
-
-    g: int = ranged(IntegerRange(1, 31))
-    factor: float = ranged(Range(1e-9, 1e6))
-    offset: float = ranged(Range(-1e6, 1e6), 0.0)
-
-    def __post_init__(self) -> None:
-        check_fields(self, "g-power ")
+    g: int = values.field(
+        IntegerRange(1, 31), text="power; D4, D8 and D16 have the factor 2/g and the offset k/g"
+    )
+    factor: float = values.field(Range(1e-9, 1e6), text="factor of 1/m² in s")
+    offset: float = values.field(
+        Range(-1e6, 1e6),
+        0.0,
+        "number subtracted from factor/m²; the domain of m ends where s = 0",
+    )
 
     def __str__(self) -> str:
         sign = "-" if self.offset > 0.0 else "+"
@@ -293,10 +272,6 @@ def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
     m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
     k : 4 for Cook-Torrance, 0 for Ward
 
-    Raises
-    ------
-    InputError : tan2 or m is outside its domain
-
     References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
     slope = LOBES["exact"].check(m, k)
@@ -317,10 +292,6 @@ def exact(c: ArrayLike, m: ArrayLike, k: int) -> Float:
     c : cos γ, in [0, 1]; any shape
     m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with c
     k : 4 for Cook-Torrance, 0 for Ward
-
-    Raises
-    ------
-    InputError : c or m is outside its domain
     """
     slope = LOBES["exact"].check(m, k)
     x = _check_cosine(c).astype(np.longdouble)
@@ -353,10 +324,6 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
     k : 4 for Cook-Torrance, 0 for Ward
     g : 4, 8 or 16
 
-    Raises
-    ------
-    InputError : c, m or g is outside its domain
-
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
     if g not in (4, 8, 16):
@@ -373,10 +340,6 @@ def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
     c : cosine of the angle between normal and half vector, in [0, 1]; any shape
     steepness : s, >= 0; broadcasts with c
     g : power, in 1 to 31
-
-    Raises
-    ------
-    InputError : c is outside its domain
 
     References: Lyon (1993).
     """
@@ -410,23 +373,13 @@ def fitted_fine(c: ArrayLike, m: ArrayLike, k: int) -> Float:
 
 
 def fitted_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the coefficients (..., 3) of u, u², u³ in the cubic of :func:`fitted`, with u = 1 - c.
-
-    Raises
-    ------
-    InputError : m is outside the domain of :func:`fitted`
-    """
+    """Return the coefficients (..., 3) of u, u², u³ in :func:`fitted`, with u = 1 - c."""
     slope = LOBES["fitted"].check(m, k)
     return FITTED["fitted", k].coefficients(slope)
 
 
 def fitted_fine_coefficients(m: ArrayLike, k: int) -> Float:
-    """Return the coefficients (..., 4) of u, u², u³, u⁴ in the quartic of :func:`fitted_fine`.
-
-    Raises
-    ------
-    InputError : m is outside the domain of :func:`fitted_fine`
-    """
+    """Return the coefficients (..., 4) of u, u², u³, u⁴ in :func:`fitted_fine`."""
     slope = LOBES["fitted-fine"].check(m, k)
     return FITTED["fitted-fine", k].coefficients(slope)
 
@@ -543,12 +496,7 @@ AnyLobe = str | GPower | Lobe
 
 
 def lobe_entry(lobe: AnyLobe) -> Lobe:
-    """Return the entry of a lobe that is given by its name, as a GPower, or as an entry.
-
-    Raises
-    ------
-    InputError : an unknown name
-    """
+    """Return the entry of a lobe that is given by its name, as a GPower, or as an entry."""
     if isinstance(lobe, Lobe):
         return lobe
     return _of_g_power(lobe) if isinstance(lobe, GPower) else named("lobe", LOBES, lobe)
@@ -590,12 +538,7 @@ def max_slope(name: AnyLobe, k: int) -> float:
 
 
 def in_domain(m: ArrayLike, name: AnyLobe, k: int) -> NDArray[np.bool_]:
-    """Return whether each slope is in the domain of a lobe; see :meth:`Lobe.belongs`.
-
-    Raises
-    ------
-    InputError : an unknown lobe, or k neither 4 nor 0
-    """
+    """Return whether each slope is in the domain of a lobe; see :meth:`Lobe.belongs`."""
     return lobe_entry(name).belongs(m, k)
 
 
@@ -615,8 +558,6 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
     For one m the lobe is the best uniform approximation of the exact lobe. For a range, least
     squares fit the steepness to the best steepness at each of five values of m.
 
-    Parameters
-    ----------
     k : 4 for Cook-Torrance, 0 for Ward
     g : power, in 1 to 31
     smallest, largest : ends of the range of m, in the domain of the exact lobe

@@ -19,16 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, check_range
-from facerender.terms.lobe import (
-    MAX_SLOPE,
-    MIN_SLOPE,
-    ULP,
-    AnyLobe,
-    Entry,
-    lobe_entry,
-    named,
-    registry,
-)
+from facerender.terms.lobe import SLOPES, ULP, AnyLobe, Entry, lobe_entry, named, registry
 
 Float = NDArray[np.float64]
 
@@ -37,8 +28,6 @@ Float = NDArray[np.float64]
 class Fresnel(Entry):
     """A Fresnel term. The GLSL call uses float f0 and v_dot_h; the macro is FR_FRESNEL_NAME.
 
-    Attributes
-    ----------
     number : value of the macro, unique
     evaluate : float64 reference; checks the domain
     rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
@@ -71,10 +60,6 @@ def fresnel_schlick(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
     f0 : reflectance at normal incidence, in [0, 1)
     v_dot_h : cosine of the angle between the direction to the camera and the unit half vector;
         clamped to [0, 1]
-
-    Raises
-    ------
-    InputError : f0 outside its domain
 
     References: Schlick (1994), eq. 15.
     """
@@ -155,8 +140,6 @@ class Masking(Entry):
     The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised.
     The call returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
 
-    Attributes
-    ----------
     number : value of the macro, unique
     cut : the BRDF is exactly 0 if N.L or N.V is at most this cosine
     evaluate : G in float64 as a function of n_dot_h, v_dot_h, n_dot_l, n_dot_v, for a unit half
@@ -249,7 +232,7 @@ def slope_filtered(m: ArrayLike, variance: ArrayLike) -> Float:
     variance : unresolved slope variance, >= 0; broadcasts with m
     """
     slope = np.asarray(m, dtype=np.float64)
-    return np.clip(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), MIN_SLOPE, MAX_SLOPE)
+    return np.clip(np.sqrt(slope**2 + 2.0 * np.asarray(variance)), SLOPES.low, SLOPES.high)
 
 
 def slope_variance_map(alpha: ArrayLike) -> Float:
@@ -297,8 +280,6 @@ class Model(Entry):
     The GLSL call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for the slope, ``{lobe}``,
     ``{fresnel}`` and ``{masking}`` for the macros of the terms.
 
-    Attributes
-    ----------
     title : name of the model in texts
     k : power of 1/cos γ in the lobe
     evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. If
@@ -390,10 +371,6 @@ def cook_torrance(
     lobe : name of the lobe, or a GPower
     fresnel_term : "schlick", "dielectric", or "constant" for f0
     masking_term : "v-cavity", "kelemen", or "none" for G = 1, where the BRDF grows as 1/(N.V)
-
-    Raises
-    ------
-    InputError : a vector is not a unit vector, or a value is outside its domain
 
     References: Cook and Torrance (1982); Walter et al. (2007) for the normalisation.
     """

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, shown
+from facerender.errors import InputError, quoted
 
 Float = NDArray[np.float64]
 
@@ -31,53 +31,41 @@ PROFILES: dict[str, Gaussians] = {
         (7.41, 0.078, 0.0, 0.0),
     )
 }
-MOST = 16  # Largest number of Gaussians in a profile.
-MOST_VARIANCE = 1e4  # Largest variance of a Gaussian, in mm^2.
+MAX_GAUSSIANS = 16  # Largest number of Gaussians in a profile.
+MAX_VARIANCE = 1e4  # Largest variance of a Gaussian, in mm^2.
 NARROW = 0.5  # Standard deviation in pixels; narrower Gaussians are left out.
-_OWN = 1e-3
+_CENTER = 1e-3  # Weight of the pixel itself, so that the sum of the weights is never 0.
 _WORD = 1 << 32  # Number of values of GLSL's uint.
 _LAST = 0.98  # Largest sampled quantile of the radii; samples farther away would add noise.
 
 
-def profile_of(given: Any) -> str | Gaussians:
-    """Return a material's scattering profile as the name of a profile or as a tuple of Gaussians.
-
-    Raises
-    ------
-    InputError : the name is unknown, or a variance or weight is outside its domain
-    """
-    if isinstance(given, str):
-        if given not in PROFILES:
+def profile_of(profile: Any) -> str | Gaussians:
+    """Return a material's scattering profile as a name in PROFILES or as Gaussians."""
+    if isinstance(profile, str):
+        if profile not in PROFILES:
             names = ", ".join((*PROFILES, "none"))
-            raise InputError(f"unknown scattering {shown(given)}; known: {names}")
-        return given
+            raise InputError(f"unknown scattering {quoted(profile)}; known: {names}")
+        return profile
     try:
-        rows = tuple((float(v), float(r), float(g), float(b)) for v, r, g, b in given)
+        rows = tuple((float(v), float(r), float(g), float(b)) for v, r, g, b in profile)
     except (TypeError, ValueError, OverflowError):
         rows = ()
     variances, weights = _columns(rows)
-    in_range = (variances > 0.0) & (variances <= MOST_VARIANCE)
-    if not 0 < len(variances) <= MOST or not in_range.all():
+    in_range = (variances > 0.0) & (variances <= MAX_VARIANCE)
+    if not 0 < len(variances) <= MAX_GAUSSIANS or not in_range.all():
         raise InputError(
-            f"scattering = {shown(given)}: give a name, or 1 to {MOST} Gaussians, each as a "
-            f"variance in (0, {MOST_VARIANCE:g}] mm^2 and weights of red, green and blue"
+            f"scattering = {quoted(profile)}: give a name, or 1 to {MAX_GAUSSIANS} Gaussians, each "
+            f"as a variance in (0, {MAX_VARIANCE:g}] mm^2 and weights of red, green and blue"
         )
     if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
-        raise InputError(
-            f"scattering = {shown(given)}: give weights of at least 0 whose sum in each channel is "
-            "at most 1"
-        )
+        remedy = "give weights of at least 0 whose sum in each channel is at most 1"
+        raise InputError(f"scattering = {quoted(profile)}: {remedy}")
     return rows
 
 
-def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
-    """Return a profile's Gaussians that are wider than half a pixel.
-
-    Parameters
-    ----------
-    pixel : size of a pixel in millimetres
-    """
-    gaussians = PROFILES[given] if isinstance(given, str) else given
+def wide_gaussians(profile: str | Gaussians, pixel: float) -> Gaussians:
+    """Return a profile's Gaussians that are wider than half a pixel of a size in millimetres."""
+    gaussians = PROFILES[profile] if isinstance(profile, str) else profile
     narrow = (NARROW * pixel) ** 2
     return tuple(gaussian for gaussian in gaussians if gaussian[0] >= narrow and any(gaussian[1:]))
 
@@ -85,8 +73,6 @@ def wide_gaussians(given: str | Gaussians, pixel: float) -> Gaussians:
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
     """Return the fraction of light, per mm^2, that leaves at a distance from its entry, (..., 3).
 
-    Parameters
-    ----------
     r2 : squared distance in mm^2, >= 0; any shape
     """
     variance, weight = _columns(gaussians)
@@ -121,8 +107,6 @@ def spiral(gaussians: Gaussians, samples: int) -> Float:
 def scatter_uniforms(gaussians: Gaussians, samples: int, unit: float = 1.0) -> dict[str, Float]:
     """Return the arguments "gaussians", "rest" and "spiral" of ``fr_scatter``.
 
-    Parameters
-    ----------
     gaussians : result of :func:`wide_gaussians`; their number is FR_SCATTER_GAUSSIANS
     samples : FR_SCATTER_SAMPLES
     unit : millimetres per unit of length in the shader
@@ -139,13 +123,8 @@ def scatter_uniforms(gaussians: Gaussians, samples: int, unit: float = 1.0) -> d
 
 
 def scatter_area(c: ArrayLike) -> Float:
-    """Return the surface area that a pixel shows, relative to the area if the surface faced the
-    camera.
-
-    Parameters
-    ----------
-    c : N.V, in [-1, 1]
-    """
+    """Return the surface area that a pixel shows for N.V = c, in [-1, 1], relative to the area if
+    the surface faced the camera."""
     return np.asarray(1.0 / np.maximum(np.abs(np.asarray(c, dtype=np.float64)), 0.2))
 
 
@@ -158,16 +137,14 @@ def scatter_turn(x: ArrayLike, y: ArrayLike) -> Float:
 
 
 def scatter(
-    light: Float, place: Float, number: NDArray[Any], area: Float, pixels: NDArray[np.bool_],
+    light: Float, positions: Float, profiles: NDArray[Any], area: Float, pixels: NDArray[np.bool_],
     *, scale: Float, unit: float, gaussians: Gaussians, samples: int,
 ) -> Float:  # fmt: skip
     """Return the irradiance of N pixels after scattering, (N, 3).
 
-    Parameters
-    ----------
     light : irradiance (H, W, 3)
-    place : positions (H, W, 3)
-    number : profile indices (H, W), equal for surfaces that scatter into each other
+    positions : (H, W, 3)
+    profiles : profile indices (H, W), equal for surfaces that scatter into each other
     area : result of :func:`scatter_area`, (H, W)
     pixels : mask of the N pixels, (H, W)
     scale : pixels per millimetre, (N,)
@@ -175,22 +152,22 @@ def scatter(
     gaussians : Gaussians of the profile
     samples : number of samples per pixel
     """
-    height, width = number.shape
+    height, width = profiles.shape
     y, x = np.nonzero(pixels)
-    entered, positions, kind = light[pixels], place[pixels], number[pixels]
+    entered, position, profile = light[pixels], positions[pixels], profiles[pixels]
     turn = scatter_turn(x, y)
     cosine, sine = scale * np.cos(turn), scale * np.sin(turn)
-    norm = np.full_like(entered, _OWN)
+    norm = np.full_like(entered, _CENTER)
     sum_ = norm * entered
     for across, up, weight in spiral(gaussians, samples):
         column = np.floor(x + 0.5 + cosine * across - sine * up).astype(np.int64)
         row = np.floor(y + 0.5 + sine * across + cosine * up).astype(np.int64)
         inside = (column >= 0) & (column < width) & (row >= 0) & (row < height)
         neighbour = row.clip(0, height - 1), column.clip(0, width - 1)
-        away = place[neighbour] - positions
-        counts = weight * area[neighbour] * (inside & (number[neighbour] == kind))
-        r2 = unit**2 * np.einsum("ij,ij->i", away, away)
-        share = counts[:, None] * scatter_profile(r2, gaussians)
+        offset = positions[neighbour] - position
+        same = inside & (profiles[neighbour] == profile)
+        r2 = unit**2 * np.einsum("ij,ij->i", offset, offset)
+        share = (weight * area[neighbour] * same)[:, None] * scatter_profile(r2, gaussians)
         sum_ += share * light[neighbour]
         norm += share
     stays = rest(gaussians)

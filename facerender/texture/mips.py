@@ -1,5 +1,5 @@
 """Mip chains of maps, with an averaging method for each kind of map. Maps are reduced in strips of
-rows, which gives the same result as reducing the whole map. OpenGL is not used."""
+rows, which gives the same result as reducing the whole map."""
 
 from __future__ import annotations
 
@@ -15,11 +15,12 @@ from facerender.terms.model import MAP_DEVIATION
 
 Kind = Literal["color", "linear-color", "normal", "data"]
 Levels = list[NDArray[Any]]
+Strips = Iterable[NDArray[np.uint8]]
 
 STRIP = 32  # number of rows that are reduced at once: they fit in the CPU cache
 
 
-def mip_chain(kind: Kind, strips: Iterable[NDArray[np.uint8]], height: int, drop: int) -> Levels:
+def mip_chain(mip_kind: Kind, strips: Strips, height: int, drop: int) -> Levels:
     """Return the mip levels of an image, down to one texel. See ``Texture.levels`` for the kinds;
     :func:`data_chain` returns the levels of kind "data".
 
@@ -28,14 +29,14 @@ def mip_chain(kind: Kind, strips: Iterable[NDArray[np.uint8]], height: int, drop
     height : number of rows of the finest level
     drop : number of finest levels to omit
     """
-    decode, halve, encode = _METHODS[kind]
+    decode, halve, encode = _METHODS[mip_kind]
     low = 0
     for texels in strips:
         means = decode(as_rgb(texels))
         for _ in range(drop):
             means = halve(means)
         # The full normal map keeps its bytes: encode() would change the length of the vectors.
-        level = _with_alpha(texels, 0) if kind == "normal" and not drop else encode(means)
+        level = _with_alpha(texels, 0) if mip_kind == "normal" and not drop else encode(means)
         half = halve(means)
         if not low:  # arrays of this size leave no holes in the heap, as a list of strips would
             finest = np.empty((height, *level.shape[1:]), level.dtype)
@@ -60,7 +61,7 @@ def data_chain(finest: NDArray[np.uint8]) -> Levels:
     return levels
 
 
-def reduced_data(strips: Iterable[NDArray[np.uint8]], drop: int) -> NDArray[np.uint8]:
+def reduced_data(strips: Strips, drop: int) -> NDArray[np.uint8]:
     """Return the finest level of kind "data", (H, W, 3), or (H, W) for grey strips. Pillow may
     round a value to another 8-bit level than the level ``drop`` of :func:`data_chain`."""
     return np.concatenate([_halved(strip, drop) for strip in strips])

@@ -1,7 +1,5 @@
-"""Textures: images that background threads decode and reduce to mip levels. OpenGL is not used.
-
-A :class:`Texture` is an image, of which it reads all channels or one, and all mip levels or coarser
-ones, and a sampling. Textures of one image share its decoded texels."""
+"""Textures: an image, of which all channels or one, and all mip levels or coarser ones are read,
+and a sampling."""
 
 from __future__ import annotations
 
@@ -19,22 +17,24 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_path, check_switch, check_type, clipped, shown, warn
+from facerender.errors import InputError, clipped, quoted, warn
 from facerender.images.files import check_pixels, converted, in_srgb, open_image, png_bytes
 from facerender.images.image import linear_to_srgb
 from facerender.system.files import open_file
 from facerender.system.process import give_back
 from facerender.texture.mips import STRIP, Kind, Levels, as_rgb, data_chain, mip_chain, reduced_data
+from facerender.values.fields import PATH
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 Wrap = Literal["repeat", "clamp", "mirror"]
+Size = tuple[int, int]
 Decode = Callable[[], "Image | NDArray[np.uint8]"]
 
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
-MOST_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
-_MOST_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+MAX_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
+_MAX_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
@@ -47,7 +47,7 @@ class _Chains(dict[Kind, Future[Levels]]):
 class _Image:
     """The image of textures that differ in sampling, channel and number of omitted mip levels."""
 
-    def __init__(self, decode: Decode, name: str, size: tuple[int, int] | None) -> None:
+    def __init__(self, decode: Decode, name: str, size: Size | None) -> None:
         self.decode, self.name, self.size = decode, name, size
         self.lock = threading.Lock()
         self.texels: NDArray[np.uint8] | None = None
@@ -99,15 +99,8 @@ class Texture:
     _channel: int | None = None  # the only channel of the image that this texture contains
 
     def __init__(
-        self,
-        decode: Callable[[], Image | NDArray[np.uint8]],
-        name: str,
-        size: tuple[int, int] | None = None,
-        profile: bytes | None = None,
+        self, decode: Decode, name: str, size: Size | None = None, profile: bytes | None = None
     ) -> None:
-        check_type("name of a texture", name, str, "text")
-        check_type("decode", decode, Callable, "a function that returns a Pillow image")
-        check_type("profile", profile, bytes | None, "the bytes of an ICC profile")
         self.name, self.profile = name, profile
         self.image = _Image(decode, name, size)
         self._packed: deque[Texture] = deque(maxlen=2)  # materials keep packed textures, too
@@ -139,32 +132,28 @@ class Texture:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Texture:
-        """Return the texture of an image file, which is decoded later. Raises InputError if the
-        file is missing or not an image."""
-        check_path("image file", path)
-        name = clipped(Path(path).name)
+        """Return the texture of an image file, which is decoded later."""
+        name = clipped(Path(PATH.check("image file", path)).name)
 
         def decode() -> Image:
             with open_file(path, "an image file") as file:
                 return _loaded(_opened(file, name), name)
 
         with open_file(path, "an image file") as file:
-            if len(content := file.read(_MOST_KEPT + 1)) <= _MOST_KEPT:
+            if len(content := file.read(_MAX_KEPT + 1)) <= _MAX_KEPT:
                 return cls.of(content, name)
             opened = _opened(file, name)
             return cls(decode, name, opened.size, profile_of(opened))
 
     @classmethod
     def of(cls, content: bytes, name: str) -> Texture:
-        """Return a texture from the bytes of an image file, which are decoded later. Raises
-        InputError if the content is not an image, or too large."""
+        """Return a texture from the bytes of an image file, which are decoded later."""
         opened = _opened(content, name)
         return cls(lambda: _opened(content, name), name, opened.size, profile_of(opened))
 
     @classmethod
     def alpha_of(cls, content: bytes, name: str) -> Texture | None:
-        """Return an image file's alpha channel as a grey texture, or None if it has no alpha.
-        Raises the errors of :meth:`of`."""
+        """Return an image file's alpha channel as a grey texture, or None if it has no alpha."""
         if not _opened(content, name).has_transparency_data:
             return None
         return cls.of(content, name).changed(lambda image: image.convert("RGBA").getchannel("A"))
@@ -181,10 +170,6 @@ class Texture:
         texels : (H, W), (H, W, 1), (H, W, 3) or (H, W, 4), row 0 on top: uint8, uint16, or floats
             in [0, 1]. Alpha is dropped; use ``from_array(texels[..., 3])`` as an opacity map.
         name : name in messages
-
-        Raises
-        ------
-        InputError : invalid shape or type, values outside [0, 1], or too many texels
         """
         pixels = _bytes_of(texels, name)
         check_pixels(name, pixels.shape[1], pixels.shape[0], 4, math.inf)
@@ -192,11 +177,7 @@ class Texture:
 
     @classmethod
     def from_image(cls, image: Image, name: str = "an image") -> Texture:
-        """Return a texture from a copy of a Pillow image of any mode. Raises InputError if it is
-        not a Pillow image, or cannot be decoded."""
-        from PIL import Image as images
-
-        check_type("image", image, images.Image, "a Pillow image")
+        """Return a texture from a copy of a Pillow image of any mode."""
         copy = _loaded(image, name).copy()
         return cls(lambda: copy, name, copy.size, profile_of(copy))
 
@@ -208,21 +189,19 @@ class Texture:
     def known(cls, texels: NDArray[np.uint8], name: str, levels: Mapping[Kind, Levels]) -> Texture:
         """Return a texture of texels (H, W) or (H, W, 3), row 0 at the bottom, with mip chains."""
         texture = cls(lambda: texels, name, texels.shape[1::-1])
-        for kind, chain in levels.items():
-            texture._chains[kind] = Future()
-            texture._chains[kind].set_result(chain)
+        for mip_kind, chain in levels.items():
+            texture._chains[mip_kind] = Future()
+            texture._chains[mip_kind].set_result(chain)
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture with other sampling, which shares this texture's decoded image. Raises
-        InputError for an unknown wrap mode.
+        """Return a texture with other sampling, which shares this texture's decoded image.
 
         wrap, nearest : see the attributes of :class:`Texture`
         """
-        modes, is_pair = get_args(Wrap), isinstance(wrap, tuple | list) and len(wrap) == 2
-        if not is_pair or any(mode not in modes for mode in wrap):
-            raise InputError(f"wrap = {shown(wrap)}: give two of {', '.join(modes)}, for u and v")
-        check_switch("nearest", nearest)
+        modes = get_args(Wrap)
+        if len(wrap) != 2 or any(mode not in modes for mode in wrap):
+            raise InputError(f"wrap = {quoted(wrap)}: give two of {', '.join(modes)}, for u and v")
         return self._variant(wrap=(wrap[0], wrap[1]), nearest=nearest)
 
     @property
@@ -243,8 +222,7 @@ class Texture:
 
     def texels(self) -> NDArray[np.uint8]:
         """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
-        bottom, as in OpenGL. Raises InputError if the image is damaged, or too large for
-        :func:`facerender.images.files.check_pixels`."""
+        bottom, as in OpenGL. The first call decodes the image."""
         if self.coarse:
             return reduced_data(self._strips(), self._omitted)
         return _band(self.image.all_texels(), self._channel)
@@ -317,17 +295,17 @@ class Texture:
                 self._chains[kind] = _executor().submit(self._chain, kind)
             return self._chains[kind]
 
-    def _chain(self, kind: Kind) -> Levels:
+    def _chain(self, mip_kind: Kind) -> Levels:
         try:
-            if kind == "data":
+            if mip_kind == "data":
                 levels = data_chain(as_rgb(self.texels()))
             else:
                 strips = self._strips() if self.coarse else _strips(self.texels(), self.name)
-                levels = mip_chain(kind, strips, self.size[1], self._omitted)
+                levels = mip_chain(mip_kind, strips, self.size[1], self._omitted)
         except MemoryError:
             lacking = "not enough memory for {} of {} x {} texels".format(self.name, *self.size)
             raise InputError(f"{lacking}: make it smaller") from None
-        if kind != "linear-color" and self._channel is None and not self.coarse:
+        if mip_kind != "linear-color" and self._channel is None and not self.coarse:
             finest = levels[0][..., :3]  # replaces the image
             with self.image.lock:
                 self.image.decode, self.image.texels = (lambda: finest), None
@@ -353,10 +331,9 @@ class Texture:
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
         """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
-        with at most ``side`` texels a side. Raises InputError if it is damaged or too large.
+        with at most ``side`` texels a side.
 
-        decode : whether to decode the image if no mip chain is computed yet; if not, and by
-            default, the result is then None
+        decode : whether to decode the image if no mip chain is computed yet; else return None
         """
         with _starting:
             computed = next((chain for chain in self._chains.values() if chain.done()), None)

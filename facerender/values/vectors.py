@@ -11,20 +11,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from facerender.errors import InputError, check_known, reason, shown
-from facerender.values.ranges import Range, VectorRange
+from facerender.errors import InputError, check_known, quoted, reason
+from facerender.values.fields import Range, SizeRange, VectorRange
 
 Vector = tuple[float, float, float]
 
 SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
 FARTHEST = 1e30  # largest coordinate of a position, in mesh units
-MOST_RADIANCE = 1e9  # limit of colours and light, so that images do not overflow float32
-MOST_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
+MAX_RADIANCE = 1e9  # limit of colours and light, so that images do not overflow float32
+MAX_RADII = 1e6  # largest distance of camera and lights from the mesh's centre, in mesh radii
 
-POSITIONS = VectorRange(-FARTHEST, FARTHEST)
-COLORS = VectorRange(0.0, MOST_RADIANCE)  # linear RGB of a colour or an irradiance
+MILLIMETRES = Range(1e-6, 1e6, "mm")  # length of a mesh unit
+IMAGE_SIZES = SizeRange(1, 1 << 30, "pixels")  # of any image, also one that no driver can draw
+POSITIONS = VectorRange(-FARTHEST, FARTHEST, "mesh units")
+COLORS = VectorRange(0.0, MAX_RADIANCE)  # linear RGB of a colour or an irradiance
 _NONE = ', or "none" (None in Python) for a transparent background'
-BACKGROUNDS = VectorRange(0.0, MOST_RADIANCE, other=_NONE)
+BACKGROUNDS = VectorRange(0.0, MAX_RADIANCE, other=_NONE, none="none")
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ROTATIONS = VectorRange(-3600.0, 3600.0, "degrees", single=False)  # see rotation_of()
 ELEVATIONS = Range(-90.0, 90.0, "degrees")
@@ -37,13 +39,12 @@ UPS: dict[str, Vector] = {
 UP_NAMES = (*UPS, "auto")  # values of ``up``; "auto" turns the face upright that is found
 
 
-def within_reach(name: str, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Check that float32 can resolve a position (3,) in the renderer's space, and return it. Raises
-    InputError if the absolute value of a coordinate exceeds MOST_RADII."""
-    if not (reach := np.abs(place).max()) <= MOST_RADII:
+def within_reach(name: str, position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Check that float32 can resolve a position (3,) in the renderer's space, and return it."""
+    if not (reach := np.abs(position).max()) <= MAX_RADII:
         far = f"{name} is {reach:.3g} mesh radii from the mesh's centre"
-        raise InputError(f"{far}: give at most {MOST_RADII:g}")
-    return place
+        raise InputError(f"{far}: give at most {MAX_RADII:g}")
+    return position
 
 
 def numbers_in(words: Iterable[str]) -> list[float]:
@@ -57,7 +58,7 @@ def numbers_in(words: Iterable[str]) -> list[float]:
 def check_array(name: str, value: Any, columns: int) -> None:
     """Raise InputError if a value is not a numeric array of shape (N, columns)."""
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
-        raise InputError(f"{name} = {shown(value)}: give an array of numbers")
+        raise InputError(f"{name} = {quoted(value)}: give an array of numbers")
     if value.shape[1:] != (columns,):
         raise InputError(f"{name} has the shape {value.shape}: give (N, {columns})")
 
@@ -98,17 +99,9 @@ def axis_of(vector: NDArray[np.float64]) -> str:
 
 
 def upright_of(axes: NDArray[np.float64]) -> tuple[str, float, NDArray[np.float64]]:
-    """Return how a face is turned upright, so that it looks along +z with y up.
-
-    axes : (3, 3), rows right, up and front of the face
-
-    Returns
-    -------
-    up : nearest axis, for ``load_mesh(up=...)``
-    angle : multiple of 90 degrees to rotate about y after ``up``
-    rotation : (3, 3), for column vectors: these two rotations if they leave at most 15 degrees,
-        otherwise that of the face itself
-    """
+    """Return how a face with axes (3, 3), rows right, up and front, is turned upright: the value
+    of ``load_mesh(up=...)``, a multiple of 90 degrees to rotate about y afterwards, and the matrix
+    (3, 3) of these two rotations if they leave at most 15 degrees, or else of the face itself."""
     up = axis_of(axes[1])
     x, _, z = rotation_of(UPS[up]) @ axes[2]
     angle = 90.0 * round(-math.degrees(math.atan2(x, z)) / 90.0) % 360.0

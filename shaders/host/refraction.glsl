@@ -1,5 +1,5 @@
 // Refraction at a part with transmission, such as a cornea.
-// REFRACTIONS is the number of the part's maps. drawing/refraction.py describes map space.
+// REFRACTIONS is the number of the part's maps. drawing/maps.py describes map space.
 // A map is a height field: z in map space, and the radiance, of the surfaces behind the part.
 #include "facerender/fresnel/schlick.glsl"
 

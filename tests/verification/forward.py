@@ -4,17 +4,15 @@ to draw them."""
 from __future__ import annotations
 
 from facerender.drawing.frame_passes import Structure, image_passes
-from facerender.drawing.passes import Pass
+from facerender.drawing.maps import Maps
 from facerender.drawing.prepare import ResolvedScene
-from facerender.drawing.shadows import shadow_texels
+from facerender.drawing.program import Pass
 from facerender.scene.view import View
 
 
 def forward_passes(resolved: ResolvedScene, view: View, size: tuple[int, int]) -> list[Pass]:
     """Return the passes of an image without scattering and refraction."""
     scene, look = resolved.scene, resolved.appearance
-    texels = shadow_texels(look, view, size)
+    maps = Maps(look, scene.mesh, view, size, refracts=False)
     background = scene.background or (0.0, 0.0, 0.0)
-    return image_passes(
-        Structure(look, scene.mesh, background, 1, lambda samples: False, texels=texels), None
-    )
+    return image_passes(Structure(look, scene.mesh, maps, background, 1), None)

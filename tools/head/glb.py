@@ -37,7 +37,7 @@ FLOAT, UNSIGNED_SHORT, UNSIGNED_INT = 5126, 5123, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR = 9729, 9987
 REPEAT, CLAMP_TO_EDGE = 10497, 33071
-MOST_SHORT = 65_535  # vertices with short indices; index 65,535 is the primitive restart index
+MAX_SHORT = 65_535  # vertices with short indices; index 65,535 is the primitive restart index
 GLB_MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 
 
@@ -144,7 +144,7 @@ class _Writer:
         """Add displacements in cm, of which only those that are not 0 are stored."""
         values = np.asarray(moves * METRES_PER_CM, "<f4")
         rows = np.flatnonzero(values.any(1))
-        short = len(moves) <= MOST_SHORT
+        short = len(moves) <= MAX_SHORT
         kind = UNSIGNED_SHORT if short else UNSIGNED_INT
         indices = self.view(rows.astype("<u2" if short else "<u4").tobytes())
         replaced = self.view(values[rows].tobytes())
@@ -179,7 +179,7 @@ class _Writer:
         }
         if coordinates is not None:
             attributes["TEXCOORD_0"] = self.attribute(coordinates * (1, -1) + (0, 1), "VEC2")
-        short = len(mesh.positions) <= MOST_SHORT
+        short = len(mesh.positions) <= MAX_SHORT
         indices = mesh.faces.astype("<u2" if short else "<u4").tobytes()
         self.accessors.append(
             {

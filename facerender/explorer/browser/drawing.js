@@ -7,7 +7,7 @@ const ATTRIBUTES = ["in_position", "in_normal", "in_uv", "in_occlusion", "in_col
 class Unable extends Error {}  // a feature is missing in this browser; the page shows the message
 
 const canvas = document.getElementById("canvas");
-let gl = null;       // Context of the canvas, which openContext sets.
+let gl = null;       // Context of the canvas, which startDrawing sets.
 let sources = null;  // GLSL texts, keyed by role; null until the texts are unpacked.
 let parts = [];      // Parts of the mesh, with vertex arrays.
 let images = [];     // Maps of the mesh.
@@ -164,8 +164,9 @@ function shadeSource(part, term, specular = true) {
   return [...head, `#define EVERY_LIGHT ${loops.join(" ")}\n`, sources.host["shade.frag"]].join("");
 }
 
-// Sets gl to the context of the canvas.
-function openContext() {
+// Opens the context of the canvas and uploads parts and maps; called again after a lost context is
+// restored.
+function startDrawing() {
   gl = canvas.getContext("webgl2",
     {alpha: false, antialias: false, depth: false, powerPreference: "high-performance"});
   if (!gl) {
@@ -179,11 +180,6 @@ function openContext() {
     throw new Unable("This GPU cannot draw to float targets (EXT_color_buffer_float), which the page "
       + "needs for errors below 1/255: open the page on another machine.");
   }
-}
-
-// Opens the context and uploads parts and maps; called again after a lost context is restored.
-function startDrawing() {
-  openContext();
   programs = new Map();
   targets = {};
   const counts = gl.getInternalformatParameter(gl.RENDERBUFFER, gl.RGBA32F, gl.SAMPLES) ?? [];

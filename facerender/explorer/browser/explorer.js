@@ -378,7 +378,6 @@ attempt(async () => {
     throw new Unable("This browser cannot unpack the mesh (no DecompressionStream): use Chrome 80, "
       + "Firefox 113, Safari 16.4 or later.");
   }
-  openContext();  // Throws if a WebGL feature is missing.
   [parts, images, sources] = await held;
   startDrawing();
   isReady = true;

@@ -167,8 +167,9 @@ function brightness(label, owner, name) {
   });
 }
 
-// Adds the row of a light; the row is hidden while there are fewer lights.
-function lightRow(i) {
+// Adds the row of a light, and the handle that moves the light in the image. Both are hidden while
+// there are fewer lights.
+function buildLight(i) {
   const light = () => state.lights[i];
   const typed = name =>
     number(`${name} of light ${i + 1}`, ranges.light[name], ...fieldOf(light, name));
@@ -183,8 +184,16 @@ function lightRow(i) {
   ];
   const row = element("tr", {}, ...cells.map(cell => element("td", {}, cell)));
   byId("light-rows").append(row);
+  const handle = button(String(i + 1), `Light ${i + 1}: drag it, or use the arrow keys`);
+  handle.className = "handle";
+  byId("handles").append(handle);
+  dragged(handle, (dx, dy) => {
+    const behind = handle.classList.contains("behind") ? -1 : 1;
+    turn(light(), 0.45 * behind * dx, -0.45 * dy);
+  });
+  onKeys(handle, (right, down) => turn(light(), 5 * right, -5 * down));
   refreshers.push(() => {
-    row.hidden = !light();
+    row.hidden = handle.hidden = !light();
     if (row.hidden) return;
     const highest = Math.max(...light().irradiance, 1e-6);
     swatch.style.background =
@@ -192,24 +201,8 @@ function lightRow(i) {
   });
 }
 
-// Adds the handle that moves a light in the image.
-function lightHandle(i) {
-  const handle = button(String(i + 1), `Light ${i + 1}: drag it, or use the arrow keys`);
-  handle.className = "handle";
-  byId("handles").append(handle);
-  refreshers.push(() => { handle.hidden = !state.lights[i]; });
-  dragged(handle, (dx, dy) => {
-    const behind = handle.classList.contains("behind") ? -1 : 1;
-    turn(state.lights[i], 0.45 * behind * dx, -0.45 * dy);
-  });
-  onKeys(handle, (right, down) => turn(state.lights[i], 5 * right, -5 * down));
-}
-
 function buildLights() {
-  for (let i = 0; i < facts.most_lights; ++i) {
-    lightRow(i);
-    lightHandle(i);
-  }
+  for (let i = 0; i < facts.most_lights; ++i) buildLight(i);
   byId("add").onclick = () => {
     state.lights.push({azimuth: 0, elevation: 30, irradiance: [2, 2, 2], radius: 0, distance: null});
     changed();

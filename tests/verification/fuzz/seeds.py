@@ -15,7 +15,7 @@ from PIL.PngImagePlugin import PngInfo
 
 from facerender.images.files import save_exr
 from facerender.mesh.mesh import Mesh
-from facerender.scene.file import scene_toml
+from facerender.scene.job import scene_toml
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
 from tests import awkward_files as files

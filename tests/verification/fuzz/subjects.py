@@ -21,13 +21,13 @@ import numpy as np
 import facerender as fr
 from facerender.batch.jobs import JobTable
 from facerender.commands import main
-from facerender.drawing import shadows
+from facerender.drawing import maps
 from facerender.errors import FacerenderError, InputError
 from facerender.images.files import read_image
 from facerender.mesh import face
 from facerender.scene.environment import EnvironmentFile, load_environment
-from facerender.scene.file import load_scene
-from facerender.scene.vertices import posed
+from facerender.scene.job import load_scene
+from facerender.scene.pose import posed
 from tests.verification.fuzz import seeds
 
 SLOW = 10.0  # seconds of processor time per input; waiting is limited by HANGS
@@ -38,8 +38,8 @@ LONGEST = 600  # characters in a message, which has one line
 REDUCED = (
     (face, "_POINTS", face._POINTS // 16),
     (face, "_LOCAL", face._LOCAL // 16),
-    (shadows, "_FEWEST_TEXELS", shadows._FEWEST_TEXELS // 8),
-    (shadows, "_BLOCKS", shadows._BLOCKS // 8),
+    (maps, "_FEWEST_TEXELS", maps._FEWEST_TEXELS // 8),
+    (maps, "_BLOCKS", maps._BLOCKS // 8),
 )
 _HEAD = Path(__file__).parents[3] / "tests" / "data" / "mini_head.glb"
 _CLEAR, _STATUS = Path("/proc/self/clear_refs"), Path("/proc/self/status")

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 import facerender as fr
 from facerender.drawing.context import Backend
-from facerender.drawing.passes import Draw, Pass
-from facerender.drawing.prepare import ResolvedScene
-from facerender.drawing.program import Program
+from facerender.drawing.frame_passes import Structure
+from facerender.drawing.program import Draw, Pass, Program
 from facerender.scene.view import View, view_of
 from tests.verification.pairs.scenes import Setting
 
@@ -49,14 +48,14 @@ class Retouched(fr.Renderer):
     def _draw(
         self,
         name: str,
-        resolved: ResolvedScene,
+        of: Structure,
         key: Hashable,
         make: Callable[[], list[Pass]],
         view: View,
         inputs: Mapping[str, moderngl.Texture] = {},
     ) -> list[NDArray[np.float32]]:
         changed = partial(self._retouched, make)
-        return super()._draw(name, resolved, (key, self.patch), changed, view, inputs)
+        return super()._draw(name, of, (key, self.patch), changed, view, inputs)
 
     def _retouched(self, make: Callable[[], list[Pass]]) -> list[Pass]:
         """Return the passes with the patch in all programs that have the passage."""

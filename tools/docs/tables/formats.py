@@ -6,5 +6,5 @@ from facerender.loading.gltf_document import EXTENSIONS
 
 
 def blocks() -> dict[str, str]:
-    rows = [f"| {name} | {fate} | {how} |" for name, (fate, how) in EXTENSIONS.items()]
+    rows = [f"| {name} | {row.replace(': ', ' | ', 1)} |" for name, row in EXTENSIONS.items()]
     return {"gltf": "\n".join(["| extension | support | details |", "|---|---|---|", *rows])}

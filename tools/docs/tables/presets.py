@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from facerender.loading.conventions import KNOWN
+from facerender.loading.conventions import WHOLE_NAMES, WORDS
 from facerender.material import COMMON, PRESETS
 
 
 def blocks() -> dict[str, str]:
+    known = {name: f"{WHOLE_NAMES.get(name, '')} {WORDS.get(name, '')}".split() for name in PRESETS}
     rows = [
-        f"| `{name}` | {_values(own)} | {', '.join(f'`{each}`' for each in KNOWN[name])} |"
+        f"| `{name}` | {_values(own)} | {', '.join(f'`{each}`' for each in known[name])} |"
         for name, own in PRESETS.items()
     ]
     head = ["| preset | values | known names |", "|---|---|---|"]

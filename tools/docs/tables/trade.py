@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
+from facerender.errors import InputError
 from facerender.measure.chart import CostKind
-from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement
+from facerender.measure.measurement import (
+    MODELS,
+    SCHEMA,
+    MeasuredVariant,
+    Measurement,
+    rows_of,
+    slope_of,
+)
 from facerender.measure.report import Table, cost_tables, error_tables
-from facerender.pricing.cost import SLOPE, Interval, Variant
+from facerender.pricing.cost import SLOPE, Interval, Variant, of_model
 from facerender.pricing.table import shipped, term_name
 from facerender.scene.shading import Term
-from tools.docs.measurement import measurement_of
 from tools.docs.tables import load, markdown_table, published
 
 _WORDS = ("variant", "lobe", "remark", "shading")  # columns that are aligned to the left
@@ -38,17 +45,36 @@ def blocks() -> dict[str, str]:
     }
 
 
+def measurement_of(content: Mapping[str, Any]) -> Measurement:
+    """Return the measurement in the content of measure.json, without the recommended variants.
+
+    Raises
+    ------
+    InputError : another schema, or a variant that this version does not have
+    """
+    if content["schema"] != SCHEMA:
+        raise InputError(
+            f"the measurement's schema is {content['schema']!r}, not {SCHEMA!r}; measure again"
+        )
+    for model, name in ((row["model"], row["name"]) for row in content["variants"]):
+        if name not in (variant.name for variant in of_model(model)):
+            raise InputError(
+                f"unknown variant {name!r} of {model!r} in the measurement; measure again"
+            )
+    return {key: value for key, value in content.items() if key != "recommended"}
+
+
 def _machine(measurement: Measurement) -> str:
     """Return date, driver and processor of a measurement."""
     return ("{date}: {GL_RENDERER}, OpenGL {GL_VERSION}, on {cores} cores of {processor}").format(
-        **measurement.as_dict()["environment"]
+        **measurement["environment"]
     )
 
 
 def amd(family: str, measured: MeasuredVariant) -> Statistics:
     """Return the compiler's estimate of a variant's cost on a family of AMD's GPUs."""
-    variant = measured.variant
-    return Statistics(**load("amd")["statistics"][family][variant.model][variant.name])
+    statistics = load("amd")["statistics"][family]
+    return Statistics(**statistics[measured["model"]][measured["name"]])
 
 
 def amd_tables(measurement: Measurement) -> list[Table]:
@@ -72,14 +98,14 @@ def amd_tables(measurement: Measurement) -> list[Table]:
 def headline(measurement: Measurement) -> str:
     """Return the README's table: cost of Cook-Torrance, absolute and relative to the published
     form, and error of the lobe."""
-    variants = measurement.of_model("cook-torrance")
+    variants = rows_of(measurement, "cook-torrance")
     base = variants[0]
     rows = []
     for row in variants:
-        name = published(row.variant.name)
-        ns, of = row.term_ns.value, base.term_ns.value
+        name = published(row["name"])
+        ns, of = (each["cost"]["term_ns"]["value"] for each in (row, base))
         cycles, all_cycles = (amd("navi21", each).inverse_throughput for each in (row, base))
-        error = row.lobe_error[measurement.settings.slope]
+        error = row["error"]["lobe"][slope_of(measurement)]
         rows.append(
             [
                 f"**{name}**" if name.startswith("exact") else name,
@@ -107,7 +133,8 @@ def by_target(cpu: Measurement, gpu: Measurement, instructions: dict[str, dict[s
     )
     for title, measurement in (("desktop GPU: NVIDIA H200", gpu), ("CPU: llvmpipe", cpu)):
         costs = {
-            row.variant.name: row.term_ns.value for row in measurement.of_model("cook-torrance")
+            row["name"]: row["cost"]["term_ns"]["value"]
+            for row in rows_of(measurement, "cook-torrance")
         }
         rows.append([title, "ns per evaluation", *(f"{costs[name]:#.3g}" for name in names)])
     return markdown_table(["target", "unit", *names], rows)
@@ -117,10 +144,14 @@ def in_program(measurement: Measurement, model: str) -> str:
     """Return a table: cost of a model's term in the renderer's program, by lobe and target, with m
     per fragment and with a constant m. Costs are bold unless another lobe dominates them: at most
     the same error and the same costs."""
+    errors = {
+        row["name"]: row["error"]["lobe"][slope_of(measurement)]
+        for row in rows_of(measurement, model)
+    }
     error = {
-        row.variant: row.lobe_error[measurement.settings.slope] or 0.0
-        for row in measurement.of_model(model)
-        if not row.variant.printed
+        variant: errors[variant.name] or 0.0
+        for variant in of_model(model)
+        if not variant.printed and variant.name in errors
     }
     columns: dict[str, dict[Variant, tuple[float, float]]] = {}
     for kind, prices in shipped().items():

@@ -9,20 +9,21 @@ from functools import cache
 
 from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
+from facerender.loading import MeshFile
 from facerender.material import MAPS, PRESETS, Material
 from facerender.scene.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
 from facerender.scene.environment import STUDIO, EnvironmentFile
-from facerender.scene.file import ImageSettings, Pose
-from facerender.scene.job import MeshFile
+from facerender.scene.job import ImageSettings
 from facerender.scene.light import LIGHTS, Light
+from facerender.scene.pose import Pose
 from facerender.scene.scene import ONLY, Scene
-from facerender.scene.shading import DIFFUSE, OUTSIDE, Shading, Term
+from facerender.scene.shading import DIFFUSE, OUTSIDE, Shading
 from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
 from facerender.terms.transport import PROFILES
 from tools.docs.tables import markdown_table
 
 KINDS: tuple[type, ...] = (
-    *(Scene, Camera, Light, EnvironmentFile, Material, Term, Shading, Pose, ImageSettings),
+    *(Scene, Camera, Light, EnvironmentFile, Material, Shading, Pose, ImageSettings),
     *(MeshFile,),
 )
 # Options of ``facerender render`` that are no values of an image: files and messages.
@@ -35,7 +36,6 @@ _TABLES: Mapping[type, str] = {
     Light: "[[lights]]",
     EnvironmentFile: "[environment]",
     Material: "[material]",
-    Term: "[shading]",
     Shading: "[shading]",
     Pose: "[pose]",
     ImageSettings: "[image]",
@@ -68,8 +68,9 @@ _OPTIONS: Mapping[type, Mapping[str, str]] = {
         "joints": "--joint NAME=X,Y,Z",
     },
     MeshFile: {"path": "MESH"},
-    Term: {"m": "", "small_slope": ""},
-    Shading: dict.fromkeys(("ks", "normal_map", "ambient", "environment", "lights"), ""),
+    Shading: dict.fromkeys(
+        ("m", "small_slope", "ks", "normal_map", "ambient", "environment", "lights"), ""
+    ),
     Material: {"albedo": "--part NAME,albedo=R,G,B", "albedo_map": "--albedo FILE"},
 }
 _CALLS: Mapping[tuple[type, str], str] = {
@@ -141,7 +142,6 @@ def _fields() -> str:
         (python(kind, each.name), _key(kind, each.name), _option(kind, each.name))
         for kind in KINDS
         for each in fields(kind)
-        if (kind, each.name) != (Shading, "term")  # its fields are rows
     ]
     rows = [(own, key, options.get(option, option)) for own, key, option in rows]
     return markdown_table(

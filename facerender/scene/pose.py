@@ -1,4 +1,5 @@
-"""Poses of a job, and files of vertex positions, the frames of a moving mesh."""
+"""Poses of a mesh: weights of shapes, angles of joints, a clip's time, or a frame of a file of
+vertex positions. A pose is plain data; :func:`posed` applies it to a mesh."""
 
 from __future__ import annotations
 
@@ -13,22 +14,69 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, reason
+from facerender.errors import InputError, clipped, quoted, reason
 from facerender.mesh.mesh import Mesh, tracked
-from facerender.scene.file import Pose
 from facerender.system.files import suffix_of
 from facerender.system.process import MIB, limit
+from facerender.values.fields import PATH, SWITCH, TEXT, Entries, IntegerRange, Range, field, record
+from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, Vector
+
+
+@record("pose ")
+class Pose:
+    """Pose of a mesh. Without values, it is the pose that the mesh file stores."""
+
+    weights: Mapping[str, float] = field(
+        Entries(SHAPE_WEIGHTS, "weight"),
+        text="weight of each shape (morph target) by name; see :meth:`facerender.Mesh.with_pose`",
+        default_factory=dict,
+    )
+    clip: str | None = field(
+        TEXT, None, "animation of the mesh file", unset="none; the first with --time"
+    )
+    time: float | None = field(
+        Range(0.0, 1e6, "s"), None, "time in the clip", unset="the whole clip"
+    )
+    vertices: str | None = field(
+        PATH,
+        None,
+        "vertex positions, all frames or one",
+        "The file is .npy of shape (frames, vertices, 3), or .npz with such an array for each part",
+        "the mesh file's",
+    )
+    frame: int = field(
+        IntegerRange(0, 1 << 30), 0, "index of the frame in ``vertices``; 0 without vertices"
+    )
+    track: bool = field(
+        SWITCH,
+        False,
+        "orbiting cameras follow the head of a moving mesh",
+        "By default, cameras frame the stored pose and stay",
+    )
+    joints: Mapping[str, Vector] = field(
+        Entries(ROTATIONS, "joint"),
+        text="angles x, y, z in degrees by name of the joint; see "
+        ":meth:`facerender.Mesh.with_pose`",
+        default_factory=dict,
+    )
+
+    def __post_init__(self) -> None:
+        moves = self.weights or self.joints or self.clip is not None or self.time is not None
+        if self.vertices is not None and moves:
+            excluded = "weights, joints, clip and time: leave one of them out"
+            raise InputError(f"pose vertices = {quoted(self.vertices)} exclude {excluded}")
+        if self.frame and self.vertices is None:
+            raise InputError(f"pose frame = {self.frame} needs vertices: give the file as well")
 
 
 def posed(mesh: Mesh, pose: Pose) -> Mesh:
-    """Return a mesh in a pose. Raises InputError if the mesh has no such shape or clip, or the file
-    of vertices cannot be used; see :meth:`Mesh.with_pose` and :meth:`Mesh.with_positions`."""
+    """Return a mesh in a pose, see :meth:`Mesh.with_pose` and :meth:`Mesh.with_positions`."""
     if pose.vertices is not None:
-        arrays, name = _arrays(pose.vertices), clipped(Path(pose.vertices).name)
-        count, frame = len(next(iter(arrays.values()))), pose.frame
-        if frame >= count:
-            raise InputError(f"{name} has {count} frames: frame = {frame} is not below {count}")
-        positions = {key: array[frame] for key, array in arrays.items()}
+        arrays, count = _arrays(pose.vertices), frame_count(pose.vertices)
+        if pose.frame >= count:
+            start = f"{clipped(Path(pose.vertices).name)} has {count} frames"
+            raise InputError(f"{start}: frame = {pose.frame} is not below {count}")
+        positions = {key: array[pose.frame] for key, array in arrays.items()}
         is_array = Path(pose.vertices).suffix.lower() == ".npy"
         mesh = mesh.with_positions(positions[""] if is_array else positions)
     elif pose.weights or pose.joints or pose.clip is not None or pose.time is not None:
