@@ -45,7 +45,7 @@ MAX_NORMAL_STRENGTH = 100.0
 # Specular and diffuse weights. Their products with any radiance stay within float32.
 WEIGHTS = Range(0.0, 1e6)
 # Maps are objects: scene files and tables change factors, MeshFile has the image files.
-_TEXTURE = Instance(Texture, "facerender.Texture.open(FILE)")
+_TEXTURE = Instance(Texture, "facerender.Texture.open(FILE) or None")
 
 
 # A mesh file may set some factors; the default of the record then does not apply.
@@ -346,7 +346,9 @@ class Factors(Limits):
         if not isinstance(value, Mapping):
             remedy = "a table of factors, or a preset, such as {'m': 0.3}"
             raise InputError(f"{name} = {quoted(value)}: give {remedy}")
-        table = dict(value)
+        # Files have no None: the profile is named "none", and double_sided is left out.
+        named = {k: "none" if v is None and k == "scattering" else v for k, v in value.items()}
+        table = {k: v for k, v in named.items() if v is not None}
         chosen = {"preset": table.pop("preset")} if self.presets and "preset" in table else {}
         base = preset(chosen["preset"]) if chosen else {}
         material = build(Material, {**base, **table}, name)

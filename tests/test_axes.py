@@ -228,7 +228,7 @@ def test_other_commands(tmp_path, capsys, monkeypatch):
     row = {"mesh": {"path": "z.obj", "up": "z", "rotate": [-10, 0, 0.5]}}
     Path("jobs.jsonl").write_text(json.dumps({**row, "pose": {"vertices": "frames.npy"}}))
     table = JobTable("jobs.jsonl")
-    ((_, found),) = table.valid()
+    ((_, found, _),) = table.valid()
     assert fr.Job.from_dict(found.tables).mesh == fr.MeshFile(
         str(tmp_path / "z.obj"), up="z", rotate=(-10.0, 0.0, 0.5)
     )

@@ -508,6 +508,8 @@ def test_status_and_check(table, draw, small, capsys, tmp_path):
     assert main(["batch", "--status", str(tmp_path / "none")]) == 2
     assert main(["batch", table([*rows(1), {"camera.azimuth": "left"}]), "-o", "x"]) == 2
     assert "row 2" in capsys.readouterr().err
+    assert main(["batch", path, "--check", "--rotate", "0,90"]) == 2
+    assert "error: mesh rotate = '0,90': give three numbers" in capsys.readouterr().err
 
 
 def check_faults(path: str, capsys: pytest.CaptureFixture[str], faults: dict[int, str]) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from facerender.batch.jobs import OUTPUTS, ROW_KEYS, TABLES, JobTable, Row
-from facerender.errors import InputError
+from facerender.errors import FacerenderWarning, InputError
 from facerender.scene.job import Job
 from facerender.scene.light import LIGHTS, Light
 from facerender.scene.scene import default_lights
@@ -255,6 +255,20 @@ def test_a_numbered_key_changes_one_light_of_the_default_lights():
         (Light(5.0),),
         (rim,),
     ]
+
+
+def test_outputs_of_a_scene_file_are_left_out_with_a_warning():
+    write("a.toml", "ambient = 1\n[[outputs]]\npath = 'a.png'")
+    with pytest.warns(FacerenderWarning, match=r"the outputs of a\.toml are not used"):
+        (row,) = rows_of({"scene": "a.toml"})
+    assert (row.tables["ambient"], row.outputs) == (1, ("image",))
+
+
+def test_a_scene_file_names_no_scene_file():
+    write("a.toml", "scene = 'b.toml'")
+    table = JobTable(write("rows.jsonl", '{"scene": "a.toml"}'))
+    assert [*table] == []
+    assert "unknown key 'scene'" in table.faults[0]
 
 
 def test_each_table_reads_scene_files_again():

@@ -20,7 +20,7 @@ from PIL import Image
 
 import facerender as fr
 from facerender.batch.outputs import OUTPUTS as ALL
-from facerender.batch.outputs import camera_facts, draw, transforms_frame
+from facerender.batch.outputs import camera_record, draw, transforms_frame
 from facerender.images.files import read_image
 from facerender.scene.detail import Planned
 from facerender.scene.view import view_of
@@ -97,7 +97,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
     job = job_of(camera=camera, material=material)
     outputs = "image", "specular", "normal"
     drawn = draw(replace(job, planned=planned), small, drawing, outputs, 0.0)
-    assert drawn.facts["planned"] is True
+    assert drawn.details["planned"] is True
     detail = planned.detail
     for only in (None, "specular", "normal"):
         name = f"{only or 'image'}.png"
@@ -106,7 +106,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
         )
         assert drawn.files[name] == (tmp_path / name).read_bytes()
     whole = draw(job, small, drawing, ("image",), 0.0)
-    assert "planned" not in whole.facts
+    assert "planned" not in whole.details
     assert drawn.files["image.png"] != whole.files["image.png"]
 
 
@@ -114,7 +114,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
 def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     mesh = moved(head).with_material(double_sided=True)  # one camera is inside the head
     drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0)
-    (content,), scale = drawn.files.values(), drawn.facts["depth_scale"]
+    (content,), scale = drawn.files.values(), drawn.details["depth_scale"]
     steps = unchanged(content)
     assert steps.dtype == np.uint16
     with Image.open(io.BytesIO(content)) as image:
@@ -123,13 +123,13 @@ def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     np.testing.assert_array_equal(steps > 0, exact[..., 3] > 0)
     assert steps.any()
     assert np.abs(steps * scale - exact[..., 0]).max() <= (0.5 + 1e-6) * scale
-    farthest = max(np.linalg.norm(mesh.center - eye_of(drawn.facts["camera"])), 0) + mesh.radius
+    farthest = max(np.linalg.norm(mesh.center - eye_of(drawn.details["camera"])), 0) + mesh.radius
     assert scale <= farthest / 65535 * (1 + 1e-9)
 
 
 def test_cameras_of_one_distance_share_their_scale(head, drawing):
     jobs = [job_of(camera=camera) for camera in fr.turntable(count=5)]
-    scales = [draw(job, head, drawing, ("depth",), 0.0).facts["depth_scale"] for job in jobs]
+    scales = [draw(job, head, drawing, ("depth",), 0.0).details["depth_scale"] for job in jobs]
     assert scales == pytest.approx([scales[0]] * 5, rel=1e-12)
 
 
@@ -139,8 +139,8 @@ def test_a_camera_that_sees_nothing(head, drawing):
         drawn = draw(job_of(camera=away), head, drawing, OUTPUTS, 0.0)
     for name in ("depth", "mask", "parts", "normal"):
         assert not unchanged(drawn.files[f"{name}.png"]).any()
-    assert drawn.facts["depth_scale"] > 0.0
-    json.dumps(drawn.facts, allow_nan=False)
+    assert drawn.details["depth_scale"] > 0.0
+    json.dumps(drawn.details, allow_nan=False)
 
 
 def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
@@ -152,8 +152,8 @@ def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
     assert set(np.unique(parts)) == {0, 1, 2}
     np.testing.assert_array_equal(mask, 255 * (part >= 0))
     np.testing.assert_array_equal(depth > 0, mask > 0)
-    assert drawn.facts["mesh"] == "built-in"
-    assert drawn.facts["parts"] == [part.name for part in halves.parts]
+    assert drawn.details["mesh"] == "built-in"
+    assert drawn.details["parts"] == [part.name for part in halves.parts]
 
 
 def test_layers_hold_every_pass(halves, drawing, tmp_path):
@@ -237,7 +237,7 @@ def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
         if (point := getattr(camera, end)) is not None:
             camera = replace(camera, **{end: tuple(mesh.to_mesh_space(point))})
     seen = drawing.gbuffer(fr.Scene(mesh, camera))
-    facts = camera_facts(seen.view, mesh, SIZE)
+    facts = camera_record(seen.view, mesh, SIZE)
     covered = seen.part >= 0
     assert covered.sum() > 100
     pose, to_world = np.array(facts["Rt"]), np.array(facts["transform_matrix"])
@@ -265,7 +265,7 @@ def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
 
 
 def test_a_frame_of_transforms_json(head, drawing):
-    camera = draw(job_of(), head, drawing, ("mask",), 0.0).facts["camera"]
+    camera = draw(job_of(), head, drawing, ("mask",), 0.0).details["camera"]
     frame = transforms_frame(camera, "data/0/image.png")
     assert frame == json.loads(json.dumps(frame))
     keys = ["file_path", "w", "h", "fl_x", "fl_y", "cx", "cy", "transform_matrix"]
@@ -315,7 +315,7 @@ def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch, le
     folder.mkdir(parents=True)
     for name, content in drawn.files.items():
         (folder / name).write_bytes(content)
-    record = json.dumps({"id": "front", **drawn.facts})
+    record = json.dumps({"id": "front", **drawn.details})
     (tmp_path / "views" / "jobs.jsonl").write_text(f"{record}\n")
     shards = tmp_path / "heads" / "shards"
     shards.mkdir(parents=True)
@@ -342,7 +342,7 @@ def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch, le
     np.testing.assert_allclose(page["normal"][covered], normals, atol=0.5 / 127.5 + 1e-6)
     exact = seen.position[covered]
     # With a lens, labels are up to half a pixel of a finer image away.
-    near, apart = (0.51, 0.01) if lens else (PIXEL, drawn.facts["depth_scale"])
+    near, apart = (0.51, 0.01) if lens else (PIXEL, drawn.details["depth_scale"])
     facing = normals @ page["Rt"][2, :3] < -0.5
     assert np.abs(page["points"] - exact)[facing].max() < apart
     np.testing.assert_allclose(page["project"](exact), page["pixels"], rtol=0, atol=near)

@@ -104,6 +104,12 @@ LIGHT_0 = "Light(azimuth=-50, elevation=42, irradiance=(3.0, 3.0, 3.0))"
     ("key", "one", "other", "text"),
     [
         ("light 0", LIGHT_0, LIGHT_0.replace("3.0", "3.06"), "light 0 irradiance 3.0 -> 3.06"),
+        (
+            "light 0",
+            LIGHT_0,
+            LIGHT_0.replace("-50", "-50.0").replace("elevation=42", "elevation=43.0"),
+            "(metadata: light 0 elevation 42 -> 43.0",
+        ),
         ("light 0", LIGHT_0, LIGHT_0.replace("-50", "-51"), "light 0 azimuth -50 -> -51"),
         ("camera", "Camera(zoom=1)", "Camera(zoom=1, frame='face')", "frame default -> 'face'"),
         ("background", "(0.1, 0.2, 0.3)", "(0.1, 0.2, 0.4)", "(0.1, 0.2, 0.3) -> (0.1, 0.2, 0.4)"),

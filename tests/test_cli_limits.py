@@ -159,7 +159,7 @@ def test_text_in_place_of_a_number(command, option, folder, capsys):
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert "much" in err
-    own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give a number in"}
+    own = {"size": "give N or WxH", "weight": "give NAME=WEIGHT", "target": "give three numbers in"}
     own |= {
         "joint": "give NAME=X,Y,Z",
         "rotate": "give three numbers",

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 import facerender as fr
-from facerender.batch.outputs import camera_facts, transforms_frame
+from facerender.batch.outputs import camera_record, transforms_frame
 from facerender.images.image import linear_to_srgb
 from facerender.scene.camera import distort, jacobian, undistort
 from facerender.scene.scene import DATA
@@ -215,7 +215,7 @@ def test_files_hold_distortions(mini, tmp_path):
 
 def test_records_and_transforms_hold_distortions(mini, tmp_path):
     view = view_of(fr.Scene(mini, camera_of(mini, PINCUSHION)), SIZE[0] / SIZE[1])
-    facts = camera_facts(view, mini, SIZE)
+    facts = camera_record(view, mini, SIZE)
     path = tmp_path / "camera.json"
     path.write_text(json.dumps(facts))
     (again,) = fr.load_cameras(path).values()
@@ -226,8 +226,8 @@ def test_records_and_transforms_hold_distortions(mini, tmp_path):
     assert "k4" not in frame
     view = replace(view, distortion=STRONG)
     with pytest.raises(fr.InputError, match=r"^a.png: .* k4 to k6, which transforms.json cannot"):
-        transforms_frame(camera_facts(view, mini, SIZE), "a.png")
-    plain = camera_facts(replace(view, distortion=None), mini, SIZE)
+        transforms_frame(camera_record(view, mini, SIZE), "a.png")
+    plain = camera_record(replace(view, distortion=None), mini, SIZE)
     assert "distortion" not in plain
     assert "k1" not in transforms_frame(plain, "a.png")
 

@@ -236,7 +236,9 @@ def test_maps_may_be_arrays_images_and_textures():
     for each in given:
         (material,) = fr.load_mesh(MINI_HEAD, albedo=each, cache=True).materials
         np.testing.assert_array_equal(np.asarray(material.albedo_map.rgb())[::-1], texels)  # type: ignore[union-attr]
-    with pytest.raises(fr.InputError, match="albedo = 5: give a path, a texture, an array"):
+    with pytest.raises(
+        fr.InputError, match="albedo = 5: give a path, or in Python a texture, an array"
+    ):
         fr.load_mesh(MINI_HEAD, albedo=5)  # type: ignore[arg-type]
 
 

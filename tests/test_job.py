@@ -125,19 +125,22 @@ def test_a_pickle_holds_each_texture_once(head):
     [
         ({"colour": 1}, "unknown key 'colour'; known: mesh, .*, image, outputs"),
         ({"mesh": {"file": "a.glb"}}, "unknown key 'file' in mesh; known: path, albedo"),
-        ({"mesh": 3}, "mesh = 3: give a facerender.MeshFile, a text or a table"),
+        ({"mesh": 3}, "mesh = 3: give a facerender.MeshFile, a path, or a table"),
         ({"mesh": {"path": 3}}, "mesh path = 3: give a path as text"),
         ({"mesh": {"flip_v": 1}}, "mesh flip_v = 1: give true or false"),
         ({"image": {"width": 3}}, "unknown key 'width' in image; known: size, samples"),
-        ({"image": 3}, "image = 3: give a table with keys of size, samples"),
+        ({"image": 3}, "image = 3: give a facerender.ImageSettings, or a table of size, samples"),
         ({"image": {"size": [3]}}, r"image size = \[3\]: give width and height"),
         ({"image": {"size": "3x"}}, "image size '3x': give N or WxH"),
-        ({"outputs": {"path": "a.png"}}, "outputs = .*: give a list of names or tables"),
+        ({"image": {"size": 5000 * "1"}}, "image size '1.*: give N or WxH"),
+        ({"camera": {"target": 1}}, "camera target = 1: give three numbers"),
+        ({"planned": {"sizes": [64, 48], "samples": 4}}, r"planned sizes = \[64, 48\]: give sizes"),
+        ({"outputs": {"path": "a.png"}}, "outputs = .*: give a list, each a facerender.Output"),
         ({"outputs": [{"only": "specular"}]}, "outputs .* lacks path"),
         ({"outputs": [{"path": "a.gif"}]}, "a.gif: unknown image format '.gif'"),
         ({"outputs": [{"path": "a.png", "only": "shine"}]}, "unknown term 'shine'; known: spec"),
         ({"outputs": [{"path": 5}]}, "output path = 5: give a path"),
-        ([1], r"job = \[1\]: give a table"),
+        ([1], r"job = \[1\]: give a facerender.Job, or a table"),
     ],
 )
 def test_invalid_tables_are_refused(tables, message):
@@ -154,6 +157,23 @@ def test_converted_jobs_are_equal():
     job = fr.Job(lights=[fr.Light()], ambient=0.5, material={"albedo": [1, 1, 1]})
     assert WAYS["JSON"](job) == job
     assert fr.Job.from_dict(job.as_dict()) == job
+
+
+def test_a_job_without_factors_or_with_odd_text_survives_its_file(tmp_path):
+    pose = fr.Pose(clip="delete\x7f")
+    parts = {"skin": {"scattering": None, "double_sided": None, "ks": 0.0}}
+    job = fr.Job(material={"scattering": None}, parts=parts, pose=pose)
+    (tmp_path / "job.toml").write_text(job.toml())
+    loaded = fr.Job.load(tmp_path / "job.toml")
+    assert loaded == job
+    assert loaded.material == {"scattering": "none"}
+    assert loaded.parts == {"skin": {"scattering": "none", "ks": 0.0}}
+
+
+def test_a_map_in_memory_has_no_text():
+    job = fr.Job(mesh=fr.MeshFile(albedo=np.zeros((4, 4, 3), np.uint8)))
+    with pytest.raises(fr.InputError, match="mesh albedo = .*: give a path"):
+        job.toml()
 
 
 # --- shadings ------------------------------------------------------------------------------------

@@ -334,7 +334,7 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
     assert fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
     drawn = draw(job, skull, renderer, ("image",), 0.0)
     assert [*drawn.files] == ["image.png"]
-    found = drawn.facts["landmarks"]
+    found = drawn.details["landmarks"]
     pixels, depth, visible = renderer.landmarks(job.scene(skull), fr.load_landmarks(path))
     assert found == [
         {"name": name, "x": x, "y": y, "depth": d, "visible": v}
@@ -343,15 +343,15 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
         )
     ]
     assert visible.tolist() == [True, False]
-    json.dumps(drawn.facts, allow_nan=False)
-    assert "landmarks" not in draw(fr.Job(image=image), skull, renderer, ("image",), 0.0).facts
+    json.dumps(drawn.details, allow_nan=False)
+    assert "landmarks" not in draw(fr.Job(image=image), skull, renderer, ("image",), 0.0).details
     tip = skull.parts[0].positions[number]
     away = fr.Camera(position=(*tip[:2], tip[2] + 1.0), target=(*tip[:2], tip[2] + 2.0))
     with pytest.warns(fr.FacerenderWarning, match="no pixel shows"):
         drawn = draw(replace(job, camera=away), skull, renderer, ("image", "mask"), 0.0)
-    nose = drawn.facts["landmarks"][0]
+    nose = drawn.details["landmarks"][0]
     assert (nose["x"], nose["y"], nose["visible"]) == (None, None, False)
-    json.dumps(drawn.facts, allow_nan=False)
+    json.dumps(drawn.details, allow_nan=False)
 
 
 @pytest.mark.slow
@@ -365,5 +365,5 @@ def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path
     image = fr.ImageSettings(size=renderer.size, samples=1)
     job = fr.Job(image=image, landmarks=str(path))
     planned = replace(job, planned=Planned((renderer.size,), 1, triangles=6000))
-    facts = [draw(each, skull, renderer, ("mask",), 0.0).facts for each in (job, planned)]
+    facts = [draw(each, skull, renderer, ("mask",), 0.0).details for each in (job, planned)]
     assert facts[0]["landmarks"] == facts[1]["landmarks"]

@@ -1,4 +1,4 @@
-"""Tests ``facerender.values.ranges``: constructors check the ranges of fields, help texts state
+"""Tests ``facerender.values.fields``: constructors check the ranges of fields, help texts state
 them."""
 
 from __future__ import annotations

@@ -185,7 +185,7 @@ def test_sheets_that_are_too_large_are_refused(run: Run, monkeypatch, options, m
         (("--camera", "turntable:0"), "turntable:0: give turntable:N, with 1 to 3600 views"),
         (("--camera", "turntable:99999"), "turntable:99999: give turntable:N, with 1 to 3600"),
         (("--camera", "gltf:eye"), "mini_head.glb has no camera"),
-        (("--target", "1,2"), "camera target = '1,2': give a number in"),
+        (("--target", "1,2"), "camera target = '1,2': give three numbers in"),
         (("--budget", "1/255", "--camera", "turntable"), "plans one view, and there are 8"),
         (("--camera", "0", "--camera", "1", "-o", "{name:d}.png"), "-o {name:d}.png: in braces"),
         (("--camera", "0", "--camera", "0", "-o", "a{index:.0s}.png"), "in braces give"),

@@ -28,7 +28,7 @@ from facerender.batch.tables import (
     repeated,
     with_default_lights,
 )
-from facerender.errors import InputError, check_known, clipped, quoted
+from facerender.errors import InputError, check_known, clipped, quoted, warn
 from facerender.loading import MESH_PATHS
 from facerender.loading.source import named_files, source_of
 from facerender.mesh.face import RELIEFS
@@ -88,28 +88,29 @@ class JobTable:
 
     def __iter__(self) -> Iterator[Row]:
         """Read all rows, but yield only the rows before the first invalid row."""
-        for _, row in self.valid():
+        for _, row, _ in self.valid():
             if not self._bad:
                 yield row
 
-    def valid(self) -> Iterator[tuple[str, Row]]:
-        """Yield all valid rows, each with its position in the table as a text for messages.
-        Raise InputError if the file cannot be read or has no rows."""
+    def valid(self) -> Iterator[tuple[str, Row, Job]]:
+        """Yield all valid rows, each with its position in the table as a text for messages, and its
+        job. Raise InputError if the file cannot be read or has no rows."""
         meshes, ids = set[int](), array("q")  # Hashes of the ids: 8 bytes per row.
         errors: dict[str, tuple[str, array[int]]] = {}  # First position, and numbers of the rows.
-        for position, row in self._read():
+        for position, result in self._read():
             self.rows += 1
-            if isinstance(row, Row):
+            if isinstance(result, tuple):
+                row, job = result
                 ids.append(hash(row.id))
                 meshes.add(hash(row.tables.get("mesh", {}).get("path")))
-                yield position, row
+                yield position, row, job
                 continue
             self._bad += 1
-            text = clipped(str(row), 400)
+            text = clipped(str(result), 400)
             if text in errors or len(errors) < self._most:
                 errors.setdefault(text, (position, array("L")))[1].append(self.rows)
         self.meshes = len(meshes)
-        self.faults = [f"{self._place(*rows)}: {text}" for text, rows in errors.items()]
+        self.faults = [f"{self._position(*rows)}: {text}" for text, rows in errors.items()]
         described = sum(len(numbers) for _, numbers in errors.values())
         ordered = np.sort(np.asarray(ids))
         twice = ordered[1:][ordered[1:] == ordered[:-1]]
@@ -118,8 +119,9 @@ class JobTable:
             self.faults, described = self.faults + faults, described + len(faults)
         self.more = self._bad + len(twice) - described
 
-    def _read(self) -> Iterator[tuple[str, Row | InputError]]:
-        """Yield pairs: a row's position, as a text for messages, and the row or its error."""
+    def _read(self) -> Iterator[tuple[str, tuple[Row, Job] | InputError]]:
+        """Yield pairs: a row's position, as a text for messages, and the row and its job, or their
+        error."""
         _scene_tables.cache_clear()  # the files may have changed
         name = PurePath(self._path).name
         defaults, folder = nested(self._common), os.getcwd()
@@ -129,16 +131,16 @@ class JobTable:
             position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
             try:
                 values = parse()
-                scene = values.get("scene")
+                scene = values.pop("scene", None)
                 tables = base if scene is None else _over_scene(defaults, scene)
-                row: Row | InputError = _row(number, merged(tables, values), folder)
+                result: Any = _row(number, merged(tables, values), folder)
             except InputError as error:
-                row = error
-            yield position, row
+                result = error
+            yield position, result
         if number < 0:
             raise InputError(f"{name} has no rows: give at least one")
 
-    def _place(self, first: str, numbers: array[int]) -> str:
+    def _position(self, first: str, numbers: array[int]) -> str:
         """Describe the position of the rows with one error, of which the first is at `first`."""
         count, last = len(numbers), numbers[-1]
         if count == 1:
@@ -151,8 +153,9 @@ class JobTable:
         # This reads the table a second time, because only hashes of the ids are in memory.
         row_numbers: dict[str, int] = {}
         faults: list[str] = []
-        for position, row in self._read():
-            if isinstance(row, Row) and hash(row.id) in hashes:
+        for position, result in self._read():
+            if isinstance(result, tuple) and hash(result[0].id) in hashes:
+                row = result[0]
                 first = row_numbers.setdefault(row.id, row.number) + 1
                 if first <= row.number:
                     faults.append(
@@ -171,14 +174,16 @@ def _over_scene(tables: Table, scene: Any) -> Table:
 @lru_cache(64)
 def _scene_tables(path: str) -> Table:
     """Return the tables of a scene file; `facerender plan` writes such files."""
-    return nested(read_toml(Path(path)))
+    tables = nested(read_toml(Path(path)))
+    if tables.pop("outputs", None):  # a batch has a list of outputs for all jobs
+        warn(f"the outputs of {path} are not used: name the outputs with --outputs")
+    return tables
 
 
-def _row(number: int, values: Table, folder: str) -> Row:
-    """Return the job of the merged tables of scene file, defaults and row. Paths are relative to
-    `folder`, and become absolute, because workers may have another working directory."""
+def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
+    """Return row and job of the merged tables of scene file, defaults and row. Paths are relative
+    to `folder`, and become absolute, because workers may have another working directory."""
     values = with_default_lights(values)
-    values.pop("scene", None)
     meta = values.pop("meta", {})
     if type(meta) is not dict:
         raise InputError(f"meta = {quoted(meta)}: give a table, or values such as meta.age")
@@ -197,11 +202,11 @@ def _row(number: int, values: Table, folder: str) -> Row:
     row = Row(number, _id(template, number, tables), tables, _outputs(outputs), exposure, meta)
     job = Job.from_dict(tables)
     job.shading.check_lights(len(job.lights))
-    return row
+    return row, job
 
 
 def with_paths(tables: Table, replace: Callable[[str, Any], Any]) -> Table:
-    """Return the tables of a job with `replace(name, path)` in the place of each path of a file."""
+    """Return the tables of a job with `replace(name, path)` instead of each path of a file."""
     tables = dict(tables)
     for key, names in FILES.items():
         if type(table := tables.get(key)) is dict:
@@ -434,7 +439,7 @@ def _mesh_content(path: str) -> str:
 @lru_cache(100_000)
 def _content(path: str) -> str:
     """Return a digest of a file's content, or the file's path if the file cannot be read."""
-    # The loader reports the error of an unreadable file, for its own job only.
+    # The loader reports the error of an unreadable file, for its job only.
     with suppress(OSError, ValueError):
         if os.path.isfile(path):
             with open(path, "rb") as file:

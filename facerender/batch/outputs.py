@@ -40,7 +40,7 @@ _OPTIONS = ("path", "allow_outside", "as_is", "parts", "hide")
 _WHITE = Texture.from_array([[[1.0, 1.0, 1.0]]])
 
 
-def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
+def file_faults(rows: Iterable[tuple[str, Row, Job]]) -> list[str]:
     """Return a message for each input file that cannot be used, and for each shape, clip, file of
     vertices and landmark file that does not fit its mesh. Maps of mesh files are decoded, too.
 
@@ -50,8 +50,8 @@ def file_faults(rows: Iterable[tuple[str, Row]]) -> list[str]:
     locations: dict[_File, _Location] = {}  # of the first row with a file
     # Poses and landmark files that must fit a mesh, by mesh and text, with the time or frame.
     uses: dict[_File, dict[str, tuple[float, _Location, Pose | str]]] = {}
-    for position, row in rows:
-        job, location = Job.from_dict(row.tables), (row.number, position)
+    for position, row, job in rows:
+        location = row.number, position
         mesh_file, *files = _files(job)
         for file in (mesh_file, *files):
             locations.setdefault(file, location)
@@ -169,7 +169,7 @@ class Drawn:
     exposure: float  # Of image.png, specular.png and diffuse.png, in stops.
     # Items of the job's record: driver, mesh and camera, and for some jobs depth_scale, parts,
     # planned and landmarks; docs/batch.md describes them.
-    facts: dict[str, Any]
+    details: dict[str, Any]
 
     @cached_property
     def files(self) -> dict[str, bytes]:
@@ -184,7 +184,7 @@ class Drawn:
                 del metadata["only"]
                 files[file] = exr_bytes(file, _layers(self.frames), metadata)
             else:
-                scale = self.facts.get("depth_scale", 1.0)
+                scale = self.details.get("depth_scale", 1.0)
                 files[file] = _png(self.frames[name], name, self.exposure, scale)
         return files
 
@@ -217,7 +217,7 @@ def draw(
     full_scene = job.scene(mesh, moves)
     scene = detail.of(full_scene)
     view = view_of(scene, renderer.size[0] / renderer.size[1])
-    record["camera"] = camera_facts(view, scene.mesh, renderer.size)
+    record["camera"] = camera_record(view, scene.mesh, renderer.size)
     needed = set(outputs)
     if "layers" in outputs:
         needed |= {*OUTPUTS} - ({"motion"} if scene.before is None else set())
@@ -227,7 +227,7 @@ def draw(
     frames = renderer.render_outputs(scene, names, job.shading, **options)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
-        record["landmarks"] = landmark_facts(job.landmarks, view, full_scene.mesh, frames["depth"])
+        record["landmarks"] = landmark_record(job.landmarks, view, full_scene.mesh, frames["depth"])
     if "depth" in outputs:
         # 65535 stands for the far side of the bounding sphere: the scale depends only on the camera
         # and this sphere, not on the visible surface or the driver.
@@ -270,7 +270,7 @@ def _flow(linear: NDArray[np.float32]) -> NDArray[np.uint16]:
     return pixels
 
 
-def landmark_facts(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict[str, Any]]:
+def landmark_record(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict[str, Any]]:
     """Return "name", "x", "y", "depth" and "visible" of each landmark of a file, as
     :meth:`facerender.Renderer.landmarks` does; x and y are None behind the camera. The mesh has all
     vertices, in its pose; the frame has the term depth."""
@@ -282,7 +282,7 @@ def landmark_facts(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dict
     return [{"name": n, "x": x, "y": y, "depth": d, "visible": v} for n, (x, y), d, v in rows]
 
 
-def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
+def camera_record(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
     """Return a camera as plain data, with lengths in mesh units: image size in pixels, intrinsic
     matrix "K", extrinsic matrix "Rt", "transform_matrix" and "distortion"; see docs/batch.md."""
     extrinsics = view.extrinsics(mesh)
@@ -298,7 +298,7 @@ def camera_facts(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any
 
 def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any]:
     """Return one item of "frames" in a transforms.json for nerfstudio and instant-ngp, from the
-    result of :func:`camera_facts` and the path of the image, relative to the transforms.json."""
+    result of :func:`camera_record` and the path of the image, relative to the transforms.json."""
     coefficients: list[float] = camera.get("distortion", [])
     if any(coefficients[5:]):  # The format has a k4, with another meaning.
         raise InputError(

@@ -411,7 +411,9 @@ class Work:
         """
         finished = record_names(storage)
         folders = [(RECORDS, name) for name in self.todo if name in finished]
-        find = _finder(storage, [*folders, *((STALE, n) for n in record_names(storage, STALE))])
+        find = _finder(
+            storage, [*folders, *((STALE, n) for n in sorted(record_names(storage, STALE)))]
+        )
         for name in self.todo:
             self._file.seek(self._offsets[name])
             chunk: Chunk = pickle.load(self._file)

@@ -1,5 +1,5 @@
 """The run of a batch: a coordinator submits chunks to an engine (threads of this process, or a Dask
-cluster), whose supervisors start worker processes; the progress is shown as bars or JSON lines.
+cluster), whose supervisors start worker processes; they report the progress as bars or JSON lines.
 
 A supervisor restarts a worker that crashes or hangs, identifies the responsible job, and commits
 the chunk."""

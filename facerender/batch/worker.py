@@ -94,7 +94,7 @@ def _draw(order: Order) -> Iterator[Message]:
                 with noting() as warned:
                     renderer = _renderer(job.image, settings.backend)
                     result = draw(job, mesh, renderer, row.outputs, row.exposure)
-                description = {**inputs_of(row), **result.facts}
+                description = {**inputs_of(row), **result.details}
                 if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
                     description["warnings"] = texts
             except Exception as error:

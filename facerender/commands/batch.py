@@ -17,10 +17,12 @@ from typing import TYPE_CHECKING, Any
 from facerender.commands import options as common
 from facerender.commands.options import PARTS, add_options
 from facerender.commands.output import print_message, print_result
-from facerender.commands.scene import part_materials
+from facerender.commands.scene import part_materials, values_of
 from facerender.errors import InputError
+from facerender.loading import MeshFile
+from facerender.scene.job import ImageSettings
 from facerender.scene.scene import ONLY
-from facerender.values.fields import IntegerRange, Range
+from facerender.values.fields import IntegerRange, Range, build
 
 if TYPE_CHECKING:
     from facerender.batch.jobs import JobTable
@@ -126,9 +128,13 @@ def _table(options: argparse.Namespace) -> JobTable:
         common.check_outputs([path for path in written if os.path.isfile(path)], read)
     defaults = {"mesh.path": options.mesh, "outputs": options.outputs, "scene": options.scene}
     names = ("parts", "hide", "as_is", "double_sided", "up", "rotate")
-    defaults |= {f"mesh.{name}": getattr(options, name) or None for name in names}
+    mesh, image = values_of(options, *names), values_of(options, "size", "samples")
+    # Bad options end the command before the table is read.
+    build(MeshFile, mesh, "mesh")
+    build(ImageSettings, image, "image")
+    defaults |= {f"mesh.{name}": value for name, value in mesh.items()}
+    defaults |= {f"image.{name}": value for name, value in image.items()}
     defaults |= {"parts": part_materials(options) or None}
-    defaults |= {f"image.{name}": getattr(options, name) for name in ("size", "samples")}
     return JobTable(options.jobs, defaults)
 
 

@@ -235,6 +235,8 @@ SCENE_CHANGES: dict[str, dict[str, Any]] = {
     "weight": _APPENDED | {"limits": str(SHAPE_WEIGHTS)},
     "joint": _APPENDED | {"limits": ROTATIONS},
     "shadows": {"action": argparse.BooleanOptionalAction},
+    "time": {"unset": "the whole clip"},
+    "vertices": {"text": "vertex positions, all frames or one"},
     "m": {
         "note": "Replaces the roughness map. Like other factors and maps, it applies only to skin: "
         "to no part that transmits light or has a name of eyes, lashes, teeth or hair. If no part "

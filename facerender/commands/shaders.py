@@ -24,7 +24,7 @@ def add(shaders: argparse.ArgumentParser) -> None:
     listing.description = (
         "List every public function of the GLSL library: signature, file, summary, unit\nand error."
     )
-    add_options(listing, "--json | print all facts of the shader headers as JSON")
+    add_options(listing, "--json | print all values of the shader headers as JSON")
     listing.set_defaults(command=run_list)
     path = actions.add_parser("path", help="print the include directory")
     path.description = (

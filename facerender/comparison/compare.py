@@ -119,7 +119,8 @@ def changes_of(one: Mapping[str, str], other: Mapping[str, str]) -> dict[str, tu
                     re.sub(r"^\((\S+), \1, \1\)$", r"\1", values.get(name, "default"))[:_LONG]
                     for values in (a, b)
                 )
-                if value_a != value_b:
+                # 30 equals 30.0: version 0.1.0 stated whole numbers as the user gave them.
+                if re.sub(r"\.0\b", "", value_a) != re.sub(r"\.0\b", "", value_b):
                     changes[f"{key} {name}"] = value_a, value_b
         else:
             entries = [_SEPARATOR.split(value) for value in (text, other[key])]

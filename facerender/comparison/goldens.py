@@ -34,7 +34,7 @@ _WRITTEN = pytest.StashKey[set[Path]]()  # goldens written in this session
 _OWNERS = pytest.StashKey[dict[str, str]]()  # ids of the tests that own goldens, keyed by path
 
 
-@dataclass(eq=False)
+@dataclass(eq=False, repr=False)
 class Snapshot:
     """Value of the fixture ``facerender_snapshot``; it compares images with their goldens."""
 
@@ -101,6 +101,7 @@ class Snapshot:
 
     def _golden_of(self, name: str | None) -> Path:
         """Return the path of the golden of an image, which no other image may have."""
+        __tracebackhide__ = True
         node = self._request.node
         safe = _file_name(f"{_name_of(node)}-{name}" if name else _name_of(node))
         if safe in self._names:

@@ -7,4 +7,5 @@ the result. ``renderer`` joins these steps.
 
 Two rules hold inside. Passes depend on the appearance, never on the camera, so that a frame is
 compiled once for all cameras and poses. The value from which a result derives owns the result: a
-renderer keeps no mesh alive. The public functions check their arguments; the rest trusts them."""
+renderer keeps no mesh alive. Records and public functions check the values that users give, but not
+their Python types; the rest trusts them."""

@@ -46,9 +46,7 @@ from facerender.values.vectors import Vector
 Floats = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-MAX_SHADOWS = (
-    16  # largest number of lights that cast shadows; one texture holds their maps in a row
-)
+MAX_SHADOWS = 16  # lights that cast shadows: one texture holds their maps in a row
 _FEWEST_TEXELS, _MAX_TEXELS = 512, 4096  # width and height of a light's shadow map
 _ALL_TEXELS = 1 << 24  # of the maps of all lights
 _BLOCKS = 256  # width and height of a light's tile in the passes of _cones

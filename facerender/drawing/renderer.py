@@ -207,6 +207,8 @@ class Renderer:
             part is below ``alpha_threshold`` everywhere, for data images. A hint of
             :mod:`facerender.mesh.hints`. The last two are emitted once for each mesh
         """
+        if only is not None:
+            check_known("term", only, ONLY)
         name = only or "image"
         return self.render_outputs(scene, (name,), shading, samples, shading_rate)[name]
 

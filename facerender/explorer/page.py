@@ -56,7 +56,7 @@ def drawable(mesh: Mesh) -> Mesh:
     are. Materials have no emission. Maps have strength 1 and use the first texture coordinates.
     """
     names = (*UNDRAWN, "opacity_map", "emissive_map", "lobe_map", "second_uv")
-    plain: dict[str, Any] = {name: getattr(Material, name) for name in names}
+    unused: dict[str, Any] = {name: getattr(Material, name) for name in names}
     alphas = _alphas(mesh)
     indices = [i for i, alpha in enumerate(alphas) if alpha != "blend"] or range(len(alphas))
     stored, posed = ([parts[i] for i in indices] for parts in (mesh.geometry.parts, mesh.parts))
@@ -64,7 +64,7 @@ def drawable(mesh: Mesh) -> Mesh:
     materials = (mesh.materials[i] for i in indices)
     return Mesh(
         geometry,
-        tuple(replace(material, **(_by_second(material) | plain)) for material in materials),
+        tuple(replace(material, **(_by_second(material) | unused)) for material in materials),
         mesh.pose and replace(mesh.pose, geometry=geometry, parts=tuple(posed)),
     )
 

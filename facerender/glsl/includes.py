@@ -342,7 +342,7 @@ class Includes:
 def _literal(condition: str) -> bool | None:
     """Return the value of a condition that is a number, such as 0 or (1); otherwise None."""
     number = condition.strip("()")
-    return bool(int(number)) if number.isdecimal() else None
+    return bool(number.strip("0")) if number.isdecimal() else None
 
 
 def _first(name: str, folders: Sequence[str]) -> tuple[str, _Identity] | None:

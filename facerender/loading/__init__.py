@@ -62,7 +62,7 @@ class _Map(Limits):
         if hasattr(value, "getbands"):  # a Pillow image: isinstance would import Pillow
             return Texture.from_image(value, f"the image of {name}")
         if not isinstance(value, str | os.PathLike):
-            forms = "give a path, a texture, an array or a Pillow image"
+            forms = "give a path, or in Python a texture, an array or a Pillow image"
             raise InputError(f"{name} = {quoted(value)}: {forms}")
         return PATH.check(name, value)
 
@@ -131,7 +131,7 @@ class MeshFile:
         "all",
     )
     hide: tuple[str, ...] | None = field(
-        _Names(), None, "do not render these parts, which are named as in --parts", unset="none"
+        _Names(), None, "do not render these parts, which are named as in parts", unset="none"
     )
     normal_map_y: str = field(
         Choice(("up", "down")),
@@ -162,10 +162,12 @@ class MeshFile:
     rotate: vectors.Vector | None = field(
         vectors.ROTATIONS,
         None,
-        "rotate the mesh about x, then y, then z, after --up",
+        "rotate the upright mesh about x, then y, then z",
         "Poses, files of vertices and cameras of the mesh file follow",
         "0,0,0",
     )
+
+    TEXTS = "a path"
 
     @classmethod
     def parse(cls, text: str) -> dict[str, Any]:
@@ -250,7 +252,7 @@ def load_mesh(
         rotate=rotate,
     )
     if isinstance(source, MeshFile):
-        if options != MeshFile():
+        if options != MeshFile() or kind is not None:
             raise InputError("a MeshFile has its own options: change its fields instead")
         options = source
     trimesh = sys.modules.get("trimesh")
@@ -261,8 +263,9 @@ def load_mesh(
         read = partial(from_trimesh.pieces_of, source, name)
         mesh = _assembled(read, name, unit, _opened(_maps(options)), options)
     elif source is options:
-        mesh = _loaded(options.source, options, cache)
-        del options.__dict__["source"]  # the content of the file takes memory
+        mesh_source = options.source
+        options.__dict__.pop("source", None)  # the content of the file takes memory
+        mesh = _loaded(mesh_source, options, cache)
     else:
         mesh = _loaded(source_of(source, kind), options, cache)
     if options.double_sided:

@@ -221,7 +221,7 @@ class Rig:
     normals : (N, 3), as the positions, vectors of any length; None until the file's reader computes
         missing normals, see :meth:`with_normals`
     weights : stored weights of the shapes
-    placed : whether the node points the part; false with a skin
+    placed : whether the node places the part; false with a skin
     offset : (4, 4), transform of an instance within the node's space; None: no transform
     sign : 1, or -1 if the normals have to be reversed, because the file's faces are inside out
     """

@@ -42,10 +42,17 @@ _TYPES: dict[str, tuple[Any, list[Any]]] = {
 _LEVELS = "levels of detail need the package meshoptimizer; pip install 'facerender[lod]'"
 
 
-@cache
 def library(missing: str = _LEVELS) -> ctypes.CDLL:
-    """Return the compiled library of the Python package meshoptimizer, with declared types. Raise
-    InputError with the text ``missing`` if the package is not installed.
+    """Return the compiled library of the Python package meshoptimizer. Raise InputError with the
+    text ``missing`` if the package is not installed."""
+    if (functions := _library()) is None:
+        raise InputError(missing)
+    return functions
+
+
+@cache
+def _library() -> ctypes.CDLL | None:
+    """Return the compiled library, with declared types, or None if it is not installed.
 
     The package's wrappers are not imported: they declare no types for simplify_with_attributes and
     the filters, pass 64-bit sizes as 32-bit integers, and therefore crash."""
@@ -53,7 +60,7 @@ def library(missing: str = _LEVELS) -> ctypes.CDLL:
     folders = package.submodule_search_locations if package else None
     spec = PathFinder.find_spec("_meshoptimizer", folders) if folders else None
     if spec is None or spec.origin is None:
-        raise InputError(missing)
+        return None
     functions = ctypes.CDLL(spec.origin)
     for name, (result, arguments) in _TYPES.items():
         function = getattr(functions, f"meshopt_{name}")

@@ -172,6 +172,8 @@ class _Distortion(Range):
 class Camera:
     """A perspective camera that orbits and frames the mesh, or has a position."""
 
+    TEXTS = ORBITS
+
     azimuth: float = field(
         _Azimuths(**vars(AZIMUTHS)),
         0.0,
@@ -189,7 +191,7 @@ class Camera:
         "magnification; at 1, the framed region fits into the image at every azimuth",
     )
     target: Vector | None = field(
-        POSITIONS, None, "point at the centre of the image", unset="the centre of --frame"
+        POSITIONS, None, "point at the centre of the image", unset="the centre of the framed region"
     )
     position: Vector | None = field(
         POSITIONS,

@@ -52,9 +52,11 @@ class _Sizes(SizeRange):
     """Several sizes of images."""
 
     def check(self, name: str, value: Any) -> Any:
-        if not isinstance(value, list | tuple) or not value:
+        sizes = value.tolist() if hasattr(value, "tolist") else value
+        pairs = isinstance(sizes, list | tuple) and all(isinstance(s, list | tuple) for s in sizes)
+        if not (pairs and sizes):
             raise InputError(f"{name} = {quoted(value)}: give sizes, such as [[512, 512]]")
-        return tuple(super(_Sizes, self).check(name, size) for size in value)
+        return tuple(super(_Sizes, self).check(name, size) for size in sizes)
 
 
 @record("planned ")

@@ -231,6 +231,7 @@ def _bilinear(texels: Float, row: Float, column: Float) -> Float:
 class EnvironmentFile:
     """Path, rotation and scale of an environment map."""
 
+    TEXTS = f"a path, {STUDIO}"
     file: str = field(PATH, text=f'a .hdr, .exr, .npy or .npz, or "{STUDIO}"')
     rotation: float = field_of(Environment, "rotation")
     scale: float = field_of(Environment, "scale")

@@ -13,9 +13,9 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from facerender.errors import InputError, clipped, number_of, warn
+from facerender.errors import InputError, clipped, number_of, quoted, warn
 from facerender.images.files import MAX_SIDE, format_of
-from facerender.loading import MeshFile, load_mesh
+from facerender.loading import MESH_PATHS, MeshFile, load_mesh
 from facerender.material import MAPS, Factors, Material, PartFactors
 from facerender.mesh.mesh import Mesh, warn_of_one_lobe
 from facerender.scene.camera import Camera
@@ -72,7 +72,7 @@ class ImageSettings:
     full_maps: bool = field(
         SWITCH,
         False,
-        "decode all mip levels of maps of more than 4096 x 4096 texels, as --float-albedo does",
+        "decode all mip levels of maps of more than 4096 x 4096 texels, as float albedo does",
     )
     alpha_threshold: float = field(
         FRACTION, 0.5, "smallest opacity at which a blended part counts as a surface in data"
@@ -168,7 +168,12 @@ class Job:
         return build(cls, tables, "")
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the job as plain data for JSON or TOML; see :meth:`from_dict`."""
+        """Return the job as plain data for JSON or TOML; see :meth:`from_dict`. Raises InputError
+        if a map of the mesh is in memory."""
+        for name in MESH_PATHS:
+            if not isinstance(value := getattr(self.mesh, name), str | None):
+                remedy = "give a path: files cannot contain a map in memory"
+                raise InputError(f"mesh {name} = {quoted(value)}: {remedy}")
         table = plain(self) | {"background": self.background or "none"}
         # Defaults of a shading stay away: a plan pins only the values that it decided.
         table["shading"] = self.shading.as_dict()

@@ -51,6 +51,8 @@ class Light:
     )
     shadow: bool = field(SWITCH, True, "whether the mesh casts shadows in this light")
 
+    TEXTS = "a text such as key or key,no-shadow"
+
     @classmethod
     def parse(cls, text: str) -> dict[str, Any]:
         """Return the fields of a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or

@@ -27,20 +27,18 @@ class Pose:
     """Pose of a mesh. Without values, it is the pose that the mesh file stores."""
 
     weights: Mapping[str, float] = field(
-        Entries(SHAPE_WEIGHTS, "weight"),
+        Entries(SHAPE_WEIGHTS, "weight", "names of shapes"),
         text="weight of each shape (morph target) by name; see :meth:`facerender.Mesh.with_pose`",
         default_factory=dict,
     )
     clip: str | None = field(
-        TEXT, None, "animation of the mesh file", unset="none; the first with --time"
+        TEXT, None, "animation of the mesh file", unset="none; the first with a time"
     )
-    time: float | None = field(
-        Range(0.0, 1e6, "s"), None, "time in the clip", unset="the whole clip"
-    )
+    time: float | None = field(Range(0.0, 1e6, "s"), None, "time in the clip", unset="0")
     vertices: str | None = field(
         PATH,
         None,
-        "vertex positions, all frames or one",
+        "file of vertex positions, of which a pose is one frame",
         "The file is .npy of shape (frames, vertices, 3), or .npz with such an array for each part",
         "the mesh file's",
     )
@@ -54,7 +52,7 @@ class Pose:
         "By default, cameras frame the stored pose and stay",
     )
     joints: Mapping[str, Vector] = field(
-        Entries(ROTATIONS, "joint"),
+        Entries(ROTATIONS, "joint", "names of joints"),
         text="angles x, y, z in degrees by name of the joint; see "
         ":meth:`facerender.Mesh.with_pose`",
         default_factory=dict,

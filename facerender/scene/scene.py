@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from facerender.errors import InputError
+from facerender.errors import InputError, quoted
 from facerender.mesh.mesh import Mesh
 from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
@@ -59,12 +59,12 @@ class Scene:
         COLORS,
         None,
         "ambient irradiance, E or R,G,B",
-        unset=f"{','.join(map(str, AMBIENT))}; 0 with --environment",
+        unset=f"{','.join(map(str, AMBIENT))}; 0 with an environment map",
     )
     background: Vector | None = field(
         BACKGROUNDS,
         (0.012, 0.013, 0.016),
-        "linear background colour R,G,B, or none for transparent",
+        'linear background colour R,G,B, or "none" for transparent',
         ".jpg, .gif and .mp4 cannot be transparent",
     )
     environment: Environment | None = None
@@ -92,6 +92,8 @@ class Scene:
             object.__setattr__(self, "mesh", load_mesh(self.mesh))
         if self.environment is not None and not isinstance(self.environment, Environment):
             object.__setattr__(self, "environment", load_environment(self.environment))
+        if not isinstance(self.before, Scene | None):
+            raise InputError(f"before = {quoted(self.before)}: give the scene of the frame before")
         set_default_light(self)
 
 

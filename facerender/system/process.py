@@ -120,7 +120,7 @@ class Bar(ExitStack):
     def __init__(self, quiet: bool = False, on_step: Callable[[str], object] | None = None) -> None:
         super().__init__()
         self._on_step = on_step
-        self._shown = on_step is None and shows_bars(quiet)
+        self._shows = on_step is None and shows_bars(quiet)
         self._bar: Any = None
         self._steps: list[str] = []
         self._fraction = 0.0
@@ -133,7 +133,7 @@ class Bar(ExitStack):
             self._close()
             if self._on_step:
                 self._on_step(step)
-            if self._shown:
+            if self._shows:
                 from tqdm import tqdm
 
                 form = "{desc} {percentage:3.0f}%|{bar:24}| {elapsed}<{remaining}"

@@ -96,7 +96,7 @@ class SizeRange(IntegerRange):
     def check(self, name: str, value: Any) -> Any:
         sides = value.tolist() if hasattr(value, "tolist") else value
         if isinstance(value, str):
-            if not re.fullmatch(r"-?\d+(x-?\d+)?", value.lower()):
+            if not re.fullmatch(r"-?\d{1,9}(x-?\d{1,9})?", value.lower()):
                 form = "give N or WxH, such as 1024 or 640x480"
                 raise InputError(f"{name} {quoted(value)}: {form}")
             sides = [int(number) for number in value.lower().split("x")]
@@ -201,14 +201,19 @@ class FilePath(Limits):
 
 @dataclass(frozen=True)
 class Entries(Limits):
-    """A table of values that have the same limits, keyed by names of a file."""
+    """A table of values that have the same limits.
+
+    noun : name of a value in messages, before its key
+    keys : description of the keys, for messages
+    """
 
     limits: Limits
     noun: str
+    keys: str
 
     def check(self, name: str, value: Any) -> Any:
         if not isinstance(value, Mapping):
-            raise InputError(f"{name} = {quoted(value)}: give a table, keyed by {self.noun}s")
+            raise InputError(f"{name} = {quoted(value)}: give a table, keyed by {self.keys}")
         return {str(k): self.limits.check(f"{self.noun} {k}", v) for k, v in value.items()}
 
 
@@ -230,8 +235,8 @@ class Several(Limits):
 
     def check(self, name: str, value: Any) -> Any:
         several = [value] if isinstance(value, str | self.record) else value
-        if isinstance(several, Mapping) or not isinstance(several, Iterable):
-            raise InputError(f"{name} = {quoted(value)}: give a list of names or tables")
+        if isinstance(several, Mapping | bytes) or not isinstance(several, Iterable):
+            raise InputError(f"{name} = {quoted(value)}: give a list, each {_forms(self.record)}")
         return tuple(build(self.record, item, name) for item in several)
 
 
@@ -277,13 +282,10 @@ def field(
     return dataclasses.field(default=default, metadata=metadata, **keywords)
 
 
-def field_of(cls: Any, name: str, **keywords: Any) -> Any:
-    """Return a field that is equal to a field of another record.
-
-    keywords : arguments of :func:`field` that differ
-    """
+def field_of(cls: Any, name: str) -> Any:
+    """Return a field that is equal to a field of another record."""
     other = cls.__dataclass_fields__[name]
-    return field(**{"default": other.default, **other.metadata, **keywords})
+    return field(default=other.default, **other.metadata)
 
 
 # Without field_specifiers, type checkers take every field as one with a default. With them, they
@@ -379,11 +381,12 @@ def _documented(cls: Any) -> str:
 
 def build(cls: type[T], value: Any, where: str) -> T:
     """Return a record from itself, from a table of its fields, or from a text. A path object stands
-    for the first field.
+    for the first field, if it is a path.
 
     Parameters
     ----------
-    cls : record. Its class method ``parse``, if any, returns the table that a text stands for
+    cls : record. Its class method ``parse``, if any, returns the table that a text stands for, and
+        ``TEXTS`` describes these texts for messages
     where : name of the value in messages, for example "lights"; "" for the outermost table
 
     Raises
@@ -395,20 +398,24 @@ def build(cls: type[T], value: Any, where: str) -> T:
     limits, parse = limits_of(cls), getattr(cls, "parse", None)  # type: ignore[arg-type]
     if isinstance(value, str) and parse:
         value = parse(value)
-    elif isinstance(value, os.PathLike):  # not a text, in which commas have a meaning
-        value = {next(iter(limits)): os.fspath(value)}
-    known = ", ".join(limits)
+    elif isinstance(value, os.PathLike) and isinstance(next(iter(limits.values())), FilePath):
+        value = {next(iter(limits)): os.fspath(value)}  # not a text, in which commas have a meaning
     if not isinstance(value, Mapping):
-        forms = f"a facerender.{cls.__name__}, a text or a table" if parse else "a table"
-        raise InputError(f"{where or 'job'} = {quoted(value)}: give {forms} with keys of {known}")
+        raise InputError(f"{where or 'job'} = {quoted(value)}: give {_forms(cls)}")
     for key in value:
         if key not in limits:
             part = f" in {where}" if where else ""
-            raise InputError(f"unknown key {quoted(key)}{part}; known: {known}")
+            raise InputError(f"unknown key {quoted(key)}{part}; known: {', '.join(limits)}")
     for f in fields(cls):  # type: ignore[arg-type]
         if f.default is f.default_factory is MISSING and f.name not in value:
             raise InputError(f"{where} {quoted(dict(value))} lacks {f.name}: add it")
     return cls(**value)
+
+
+def _forms(cls: Any) -> str:
+    """Return a description of the values from which a record is built, for messages."""
+    texts = f"{cls.TEXTS}, " if hasattr(cls, "parse") else ""
+    return f"a facerender.{cls.__name__}, {texts}or a table of {', '.join(limits_of(cls))}"
 
 
 def plain(value: Any, changed: bool = False) -> dict[str, Any]:

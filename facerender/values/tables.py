@@ -88,12 +88,17 @@ def toml_text(values: Mapping[str, Any]) -> str:
 
 def _key(name: str) -> str:
     """Return a key of TOML, in quotes unless its characters need none."""
-    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else json.dumps(name, ensure_ascii=False)
+    return name if re.fullmatch("[A-Za-z0-9_-]+", name) else _json(name)
+
+
+def _json(value: bool | str) -> str:
+    """Return a value whose text is equal in JSON and TOML, except that TOML escapes DEL."""
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", r"\u007f")
 
 
 def _toml(value: Any) -> str:
     if isinstance(value, bool | str):
-        return json.dumps(value, ensure_ascii=False)
+        return _json(value)
     if isinstance(value, Mapping):
         pairs = (f"{_key(key)} = {_toml(entry)}" for key, entry in value.items())
         return "{ " + ", ".join(pairs) + " }"

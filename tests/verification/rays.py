@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
-from facerender.batch.outputs import camera_facts
+from facerender.batch.outputs import camera_record
 from facerender.mesh.mesh import drawn_alpha
 
 Float = NDArray[np.float64]
@@ -18,7 +18,7 @@ Size = tuple[int, int]
 
 def camera_of(scene: fr.Scene, size: Size) -> tuple[Float, Float]:
     """Return the matrices K and [R|t] of a scene's camera."""
-    facts = camera_facts(fr.view_of(scene, size[0] / size[1]), scene.mesh, size)
+    facts = camera_record(fr.view_of(scene, size[0] / size[1]), scene.mesh, size)
     return np.array(facts["K"]), np.array(facts["Rt"])
 
 
