@@ -151,15 +151,14 @@ def load_landmarks(path: str | os.PathLike[str]) -> Landmarks:
 
     Raises InputError if the file cannot be read, has another structure, or an invalid landmark.
     """
-    content, name = (
-        read_file(PATH.check("landmark file", path), "a JSON file with landmarks", MAX_TEXT_BYTES),
-        Path(path).name,
-    )
+    file = PATH.check("landmark file", path)
+    content = read_file(file, "a JSON file with landmarks", MAX_TEXT_BYTES)
+    name = clipped(Path(file).name)
     try:
-        landmarks = json.loads(content)
+        landmarks: Any = json.loads(content)
     except (ValueError, RecursionError) as error:
         remedy = f"its JSON cannot be read ({reason(error)}); correct it"
-        raise InputError(f"{clipped(name)}: {remedy}") from None
+        raise InputError(f"{name}: {remedy}") from None
     try:
         if not isinstance(landmarks, list | dict):
             remedy = "give a list of landmarks, or a table by name"
@@ -172,7 +171,7 @@ def load_landmarks(path: str | os.PathLike[str]) -> Landmarks:
         names, vertices, weights, parts = zip(*rows, strict=True)
         return Landmarks(names, np.array(vertices), np.array(weights), parts)
     except InputError as error:
-        raise InputError(f"{clipped(name)}: {error}") from None
+        raise InputError(f"{name}: {error}") from None
 
 
 def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[float], str]:
