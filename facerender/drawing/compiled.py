@@ -408,4 +408,5 @@ _CAMERA: dict[str, Callable[[View, tuple[int, int]], NDArray[np.float32]]] = {
     "camera_position": lambda view, size: view.position.astype(np.float32),
     "forward": lambda view, size: view.forward.astype(np.float32),
     "rays": _rays,
+    "shadow_phase": lambda view, size: view.phase.astype(np.float32),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import weakref
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
@@ -70,8 +71,8 @@ class Renderer:
     size : width and height in pixels, or one number for both, each in [1, 16384]; default 1024
     samples : samples per pixel, 1 to 64, default 4. Up to the driver's limit (4 on Mesa's software
         driver), multisampling shades each visible surface once per pixel; a GPU's driver may shade
-        it more often. Above this limit, the renderer averages one image per sample, so that each
-        sample is shaded
+        it more often. Above this limit, the renderer averages shifted images with as many samples
+        each as the driver allows: 16 samples are four images of 4 on Mesa
     backend : "auto" (default), "egl", "osmesa", "native" for WGL, CGL or GLX, or "current" for the
         host's context
     anisotropy : maximum anisotropy of texture filtering, 1 (isotropic, default) to 16; slow on
@@ -343,12 +344,17 @@ class Renderer:
 
             of = self._with_cut(of) if names else of
             return self._draw(f"image {only}", of, names, make, view)
+        # Multisampling samples edges within a pixel, but shades once. Shifts over the whole pixel
+        # would sample the shading as one image per sample does, and blur the edges; shifts over
+        # three quarters have the smallest difference from such an image.
+        most = self.context.most_samples
+        count = math.ceil(of.samples / most)
         linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-        for shift in sample_grid(of.samples):
-            shifted = view.shifted(shift, self.size)
-            one = self._structure(resolved, shifted, 1, only is None, only != "specular")
+        for number, shift in enumerate(0.75 * sample_grid(count)):
+            shifted = view.shifted(shift, self.size, number)
+            one = self._structure(resolved, shifted, most, only is None, only != "specular")
             linear += self._radiance(one, resolved, shifted, only)[0]
-        linear /= of.samples
+        linear /= count
         return [linear]
 
     def _motion(self, scene: Scene, shading: Shading) -> NDArray[np.float32]:

@@ -28,6 +28,7 @@ _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are
 _UNSEEN = 2e-4
 _CELLS = 64  # cells along each side of a part in the image, in which vertices hide others
 _BEHIND = 0.03  # distance from which a vertex counts as behind another, in radii of the mesh
+_PHASES = np.array([0.61803399, 0.75487766, 0.56984029])  # steps from one phase to the next
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
@@ -42,12 +43,14 @@ class View:
     matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
         the top of the image, so that a framebuffer has its rows from the top down
     distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
+    number : of a shifted image among the images of a pixel's samples, see :attr:`phase`
     """
 
     position: Float
     forward: Float
     matrix: Float
     distortion: tuple[float, ...] | None = None
+    number: int = 0
 
     def __repr__(self) -> str:
         vectors = self.position, self.forward
@@ -86,11 +89,18 @@ class View:
         rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
         return np.asarray(rows @ self.matrix[:, _XYW])
 
-    def shifted(self, pixels: tuple[float, float], size: int | Pair) -> View:
+    @property
+    def phase(self) -> Float:
+        """Phase of the noise of soft shadows, (3,) in [0, 1): shift of the directions, and jitters
+        of the radii. The phases of an image's shifted images are spread evenly, so that their noise
+        cancels out: Roberts (2018), "The unreasonable effectiveness of quasirandom sequences"."""
+        return np.asarray((np.array([0.0, 0.5, 0.5]) + self.number * _PHASES) % 1.0)
+
+    def shifted(self, pixels: tuple[float, float], size: int | Pair, number: int = 0) -> View:
         """Return the view with its image, of the given size, moved right and down by ``pixels``."""
         move = np.eye(4)
         move[3, :2] = 2.0 * np.asarray(pixels) / size
-        return replace(self, matrix=self.matrix @ move)
+        return replace(self, matrix=self.matrix @ move, number=number)
 
     def intrinsics(self, size: int | Pair) -> Float:
         """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.

@@ -11,6 +11,8 @@ uniform ivec2 shadow_tiles;  // Width of a light's tile in shadow_map and in sha
 uniform mat4 shadow_view[SHADOWS];  // Matrix from the renderer's space to light space.
 // Tangent of the light's angular radius; largest z; LightSpace.scale.
 uniform vec3 shadow_size[SHADOWS];
+// Shift of the noise, and fr_shadow_disc's jitter: different in each image of a pixel's samples.
+uniform vec3 shadow_phase;
 
 // Noise: Jimenez (2014), "Next generation post processing in Call of Duty: Advanced Warfare".
 const vec2 NOISE = vec2(0.06711056, 0.00583715);
@@ -107,10 +109,11 @@ float visibility(int i, mat4 view, vec3 size, Surface s, Point p) {
     vec2 pixel = max(abs(x), abs(y));
     float width = clamp(0.5 * float(shadow_tiles.x) * max(pixel.x, pixel.y), 1.0, 3.0);
 #ifdef SHADOW_DISCS
-    float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, NOISE)));
-    vec2 start = normalize(abs(fract(noise + vec2(0.0, 0.25)) - 0.5) - 0.25);
+    float noise = fract(52.9829189 * fract(dot(gl_FragCoord.xy, NOISE)) + shadow_phase.x);
+    vec2 start = normalize(vec2(1.0 - noise, noise));
     return fr_shadow_disc(
-        shadow_map, tile, at, slope, size.x, top_of(i, size, at), bias_of(), width, start
+        shadow_map, tile, at, slope, size.x, top_of(i, size, at), bias_of(), width, start,
+        shadow_phase.yz
     );
 #else
     return fr_shadow_hard(shadow_map, tile, at, slope, width, bias_of());
@@ -124,7 +127,7 @@ void see_lights(Surface s, Point p, out float seen[SHADOWS]) {
     int doubts = 0;
     EVERY_SHADOW
     for (int i = 0; i < SHADOWS; ++i) seen[i] = 1.0;
-    while (doubts != 0) {
+    if (doubts != 0) do {
         int next = 0;
         mat4 view = shadow_view[0];
         vec3 size = shadow_size[0];
@@ -140,5 +143,5 @@ void see_lights(Surface s, Point p, out float seen[SHADOWS]) {
         for (int i = 0; i < SHADOWS; ++i) {
             if (i == next) seen[i] = fraction;
         }
-    }
+    } while (doubts != 0);
 }

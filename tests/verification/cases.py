@@ -532,7 +532,9 @@ def shadow_disc() -> Case:
     places = inputs["p"][:PLACES], inputs["plane"][:PLACES, :2]
     expected = repeated(shadow.shadow_disc(map_, tile, *places, *DISC, START), len(inputs["p"]))
     numbers = ", ".join(map(str, DISC))
-    call = f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {numbers}, vec2{START})"
+    call = (
+        f"fr_shadow_disc(map_texels, ivec3{tile}, p, plane.xy, {numbers}, vec2{START}, vec2(0.5))"
+    )
     return Case(include("shadow"), call, inputs, expected, 0.0, 1e-4 + differs)
 
 

@@ -66,7 +66,7 @@ OTHERS = (
     (
         "shadow",
         "fr_shadow_disc(c_texels, ivec3(7, 0, 64), 1.2 * n, 8.0 * l.xy, 0.36 * c, 2.0, 0.004, 1.0, "
-        "normalize(v.xy))",
+        "normalize(v.xy), vec2(0.5))",
     ),
 )
 BRDF = re.compile(r"\bfr_(?!\w+_pdf)\w+\(n, l, v, m\b")

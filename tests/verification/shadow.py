@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 Float = NDArray[np.float64]
 Tile = tuple[int, int, int]
 
-SEARCH, SAMPLES = 8, 12  # Values of FR_SHADOW_SEARCH and FR_SHADOW_SAMPLES in GLSL.
-_TURN = 2.39996323  # Golden angle between consecutive samples of a spiral, in radians.
+SEARCH, SAMPLES = 12, 28  # Values of FR_SHADOW_SEARCH and FR_SHADOW_SAMPLES in GLSL.
+_TURN = 2.39996323  # Golden angle between consecutive samples of the search, in radians.
+_NEXT = 0.6  # Angle between consecutive crosses of the mean, in radians.
 
 
 def shadow_depth(map: ArrayLike, tile: Tile, texel: ArrayLike) -> Float:
@@ -77,6 +78,7 @@ def shadow_disc(
     bias: float,
     width: float,
     start: ArrayLike,
+    jitter: tuple[float, float] = (0.5, 0.5),
 ) -> Float:
     """Return the visible fraction of a disc light or a sphere light.
 
@@ -86,8 +88,9 @@ def shadow_disc(
     tan_radius : tangent of the angular radius of the light, in [0, tan(20 degrees)]
     top : largest z of the occluders; the light is fully visible if the z of p is at least this
         value
-    width : smallest side of the square in texels, in [1, 3]
+    width : width of a pixel in texels, in [1, 3]
     start : direction of the first sample, a unit vector (..., 2)
+    jitter : position of the samples within their rings, in search and mean
     """
     place = np.asarray(p, dtype=np.float64)
     slope = np.asarray(plane, dtype=np.float64)[..., None, :] * (2.0 / tile[2])
@@ -95,30 +98,30 @@ def shadow_disc(
     z, base = (place[..., 2] + bias)[..., None], place[..., 2:]
     cone = 0.5 * tile[2] * tan_radius
     x, y = np.moveaxis(np.asarray(start, dtype=np.float64), -1, 0)
-    angle = _TURN * np.arange(max(SEARCH, SAMPLES)) + np.arctan2(y, x)[..., None]
-    spiral = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    first = np.arctan2(y, x)[..., None]
 
-    def texels(away: Float) -> tuple[Float, NDArray[np.bool_]]:
+    def texels(away: Float, angle: Float) -> tuple[Float, NDArray[np.bool_]]:
         """Return the map's z at samples, and whether it is above the tangent plane.
 
-        away : distances (..., N) of the samples from p, in texels
+        away, angle : distances (..., N) of the samples from p, in texels, and directions
         """
-        aside = away[..., None] * spiral[..., : away.shape[-1], :]
+        aside = away[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         occluder_z = shadow_depth(map, tile, middle + aside)
         return occluder_z, occluder_z > z + np.maximum((slope * aside).sum(axis=-1), 0.0)
 
     reach = np.maximum(cone * np.clip(top - base, 0.0, 1.0), 0.5 * width)
-    away = reach * (np.arange(SEARCH) + 0.5) / SEARCH
-    occluder_z, blocks = texels(away)
+    away = reach * (np.arange(SEARCH) + jitter[0]) / SEARCH
+    occluder_z, blocks = texels(away, first + _TURN * np.arange(SEARCH))
     blocks &= base < top
     weights = np.where(away < np.maximum(cone * (occluder_z - base), 1.0), 1.0, 0.1) * blocks
     depth = (weights * occluder_z).sum(axis=-1) / np.maximum(weights.sum(axis=-1), 0.1)
 
-    radius = cone * (depth - place[..., 2])
-    away = radius[..., None] * np.sqrt((np.arange(SAMPLES) + 0.5) / SAMPLES)
-    occluder_z, above = texels(away)
-    above &= away <= np.maximum(1.5 * cone * (occluder_z - base), 1.0)
-    wide = 1.0 - above.mean(axis=-1)
-    narrow = shadow_hard(map, tile, place, plane, np.clip(2.0 * radius, width, 3.0), bias)
-    count = blocks.sum(axis=-1)
-    return np.select([count == 0, count == SEARCH, radius < 1.0], [1.0, 0.0, narrow], wide)
+    crosses = np.repeat(np.arange(SAMPLES // 4), 4)
+    radius = np.maximum(cone * (depth - place[..., 2]), 0.56 * width)
+    away = radius[..., None] * np.sqrt((crosses + jitter[1]) / (SAMPLES // 4))
+    quarters = np.tile(0.5 * np.pi * np.arange(4), SAMPLES // 4)
+    occluder_z, above = texels(away, first + _NEXT * crosses + quarters)
+    above &= away <= np.maximum(
+        1.5 * cone * (occluder_z - base), np.maximum(0.56 * np.asarray(width), 1.0)
+    )
+    return np.where(blocks.any(axis=-1), 1.0 - above.mean(axis=-1), 1.0)
