@@ -146,9 +146,8 @@ def test_one_limit(command, option, folder, capsys):
 
 def number_of(option: argparse.Action) -> type:
     """Return the type of an option's numbers."""
-    return (
-        int if name_of(option) in ("size", "samples", "triangles", "environment_samples") else float
-    )
+    whole = "size", "samples", "triangles", "environment_samples", "environment_lights"
+    return int if name_of(option) in whole else float
 
 
 @pytest.mark.parametrize(("command", "option"), OPTIONS, ids=IDS)

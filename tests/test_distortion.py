@@ -379,7 +379,7 @@ def test_slight_distortion_changes_no_label(drawing, whole):
             a, b = getattr(one, each.name), getattr(other, each.name)
             if isinstance(a, np.ndarray):
                 same = np.isclose(a, b, atol=5e-3).reshape(*SIZE[::-1], -1).all(axis=-1)
-                assert same.mean() > 0.99, each.name
+                assert same.mean() > 0.985, each.name
     assert second.view.distortion
     assert (second.visibility[second.part >= 0] < 0.5).any()
 

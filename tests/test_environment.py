@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import facerender as fr
+from benchmarks.skin_environment import panorama_directions
 from facerender import InputError, brdf
 from facerender.commands import main
 from facerender.images.files import save_exr
@@ -21,7 +22,7 @@ from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
-from facerender.scene.environment import SIDE, studio
+from facerender.scene.environment import SIDE, panorama_lights, studio
 from facerender.scene.scattering import scattering_of
 from facerender.scene.view import view_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
@@ -30,6 +31,7 @@ from tests.conftest import require_module
 from tests.meshes import with_geometry
 from tests.settings import parse_environment
 from tests.test_reference import skin
+from tests.verification.environment import Traced, overcast
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
 CAMERA = fr.Camera(azimuth=-35.0)
@@ -482,3 +484,64 @@ def test_plans_may_use_fewer_samples(head, face):
     costs = [prices.cost(unshadowed, fr.Shading(scatter_samples=n))[0] for n in (0, 8, 16, 64)]
     assert costs == sorted(costs)
     assert costs[1] < costs[2] < costs[3]
+
+
+def covered_error(renderer, head, panorama, count=768):
+    scene = fr.Scene(head, fr.Camera(frame="face"), (), 0.0, environment=fr.Environment(studio()))
+    traced, environment = Traced(renderer, scene, count), fr.Environment(panorama, 20.0, 0.8)
+    expected = traced.radiance(environment, fr.Shading())
+    return [
+        traced.error(environment, fr.Shading(environment_lights=count), expected)
+        for count in (0, 8)
+    ]
+
+
+@pytest.mark.parametrize(
+    "panorama", [studio(), pytest.param(overcast(), marks=pytest.mark.slow)], ids=repr
+)
+def test_lights_of_the_environment_halve_the_error_against_rays(egl, head, panorama):
+    """Without lights, the environment shines into the mouth, the lids and the nostrils."""
+    with fr.Renderer(128, samples=1, backend=egl, float_albedo=True) as renderer:
+        without, with_lights = covered_error(renderer, head, panorama)
+    assert without.crease_high > 50.0
+    for name in ("mean", "high", "crease_mean", "crease_high"):
+        assert getattr(with_lights, name) <= 0.5 * getattr(without, name), name
+
+
+def test_a_sun_becomes_a_light_of_its_size():
+    """The sun of 2 degrees is one light, apart from its sky; the sum of all lights and of the
+    remainder is the energy of the panorama."""
+    light = fr.Light(azimuth=-40.0, elevation=50.0)
+    from_sun = panorama_directions(256) @ light.direction
+    radiance = np.where(from_sun[..., None] > math.cos(math.radians(2.0)), 500.0, 0.2)
+    panorama = fr.Panorama("sun", np.broadcast_to(radiance, (256, 512, 3)))
+    lights = fr.Environment(panorama, rotation=30.0, scale=2.0).lights(8)
+    sun = max(lights, key=lambda each: each.irradiance[0])
+    assert (sun.azimuth, sun.elevation) == pytest.approx((-10.0, 50.0), abs=0.2)
+    assert sun.radius == pytest.approx(2.0, abs=0.4)  # the sky within 20 degrees is a tenth of it
+    split = panorama_lights(panorama, 8)
+    total = (split.irradiance + split.around).sum(axis=0)
+    assert total == pytest.approx(4.0 * panorama.coefficients[0], rel=1e-3)
+    assert sun.irradiance == pytest.approx(tuple(2.0 * split.irradiance.max(axis=0)))
+
+
+@pytest.mark.parametrize("height", [2, 3, 50])
+@pytest.mark.parametrize("value", [0.0, 1.0, 1e9])
+def test_every_panorama_has_lights(height, value):
+    radiance = np.full((height, 2 * height, 3), value, dtype=np.float32)
+    lights = fr.Environment(fr.Panorama("even", radiance)).lights(16)
+    assert len(lights) == min(16, 2 * height**2)
+    assert np.isfinite([(*light.irradiance, light.radius, light.azimuth) for light in lights]).all()
+
+
+def test_too_many_shadows_name_the_lights_of_the_environment(small, head):
+    lights = [fr.Light(azimuth=float(angle)) for angle in range(9)]
+    with pytest.raises(InputError, match="17 lights cast shadows, including 8 of the environment"):
+        small.render(around(head, fr.Environment(studio()), lights=lights))
+
+
+def test_data_images_do_not_depend_on_the_environment(small, head):
+    scene = around(head, fr.Environment(studio()), lights=(fr.Light(30.0, 20.0),))
+    for name in ("visibility", "cosines", "depth"):
+        bare = small.render(replace(scene, environment=None), only=name)
+        assert np.array_equal(small.render(scene, only=name).linear, bare.linear), name

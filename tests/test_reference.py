@@ -80,7 +80,9 @@ def compared(
     assert covered.mean() > 0.12
     assert np.isfinite(linear).all()
     shadowed = gbuffer.visibility.min(axis=(0, 1))
-    np.testing.assert_array_equal(shadowed == 1.0, [not light.shadow for light in scene.lights])
+    lights = resolve(scene, shading).appearance.lighting.environment
+    shadows = [light.shadow for light in (*scene.lights, *lights)]
+    np.testing.assert_array_equal(shadowed < 1.0, shadows)
     expected = reference.shade(gbuffer, scene, shading)[covered]
     return gbuffer, expected, np.abs(linear[covered][:, :3] - expected) / expected.clip(0.01)
 

@@ -181,8 +181,8 @@ MATERIAL = {
 SHADING = {
     **{"outside": "exact", "ks": 0.5, "normal_map": False, "ambient": False, "two_lobes": False},
     **{"slope_filter": False, "environment": False, "diffuse": "coupled"},
-    **{"scatter_samples": 32, "environment_samples": 16, "specular_lights": [0]},
-    "shadow_lights": [0],
+    **{"scatter_samples": 32, "environment_samples": 16, "environment_lights": 4},
+    **{"specular_lights": [0], "shadow_lights": [0]},
 }
 TERM = {"lobe": "d16", "fresnel": "dielectric", "masking": "kelemen", "m": 0.2, "small_slope": True}
 # Values that differ from their defaults, by class and table of a scene file.

@@ -62,7 +62,7 @@ FIELDS: dict[str, tuple[Any, str]] = {
     "shading": (
         Shading,
         "model fresnel masking lobe outside scatter_samples=N diffuse slope_filter "
-        "environment_samples=N",
+        "environment_samples=N environment_lights=N",
     ),
     "image": (
         ImageSettings,
@@ -219,7 +219,7 @@ normal_strength allow_outside anisotropy float_albedo full_maps
 [scene]
 {PARTS} millimetres camera frame fov
 weight joint clip time vertices track light shadows environment
-environment_samples ambient occlusion background scene
+environment_samples environment_lights ambient occlusion background scene
 """
 # Changes of :func:`add_options` for --backend, and for the options of a scene.
 BACKEND: dict[str, Any] = {

@@ -51,7 +51,7 @@ _PINS = {
     "two_lobes": ("second_slope", "lobe_weight", "lobe_map"),
     "ambient": ("ambient",),
     "environment": ("environment",),
-    "environment_samples": ("environment_samples",),
+    **{name: (name,) for name in ("environment_samples", "environment_lights")},
     "specular_lights": ("light",),
 }
 
@@ -138,11 +138,10 @@ def _with_records(file: Mapping[str, Any], tables: dict[str, Any]) -> dict[str, 
 
 def _check_unused(options: argparse.Namespace, job: Job) -> None:
     """Raise InputError for samples of light that the scene does not have."""
-    if options.environment_samples and job.environment is None:
-        raise InputError(
-            f"--environment-samples {options.environment_samples} has no environment map: add "
-            "--environment FILE"
-        )
+    for name in ("environment_samples", "environment_lights"):
+        if (number := getattr(options, name)) and job.environment is None:
+            option = f"--{name.replace('_', '-')} {number}"
+            raise InputError(f"{option} has no environment map: add --environment FILE")
     tables = job.material, *job.parts.values()
     scatters = any(table.get("scattering") not in (None, "none") for table in tables)
     if options.scatter_samples and not scatters:

@@ -345,7 +345,8 @@ class GBuffer:
     albedo : (H, W, 3) float32, linear
     m, specular_weight, occlusion : (H, W) float32
     uv : (H, W, 2) float32
-    visibility : (H, W, lights) float32, visible fraction of each light
+    visibility : (H, W, lights) float32, visible fraction of each light, and then of each light of
+        the environment
     view : the camera, in the renderer's space
     space : centre (x, y, z) and radius of the mesh, in its units
     second_m : (H, W) float32, m of the second lobe; None if no material has two lobes

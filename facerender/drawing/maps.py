@@ -39,6 +39,7 @@ from facerender.material import Material
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Area, TriangleSetup
 from facerender.mesh.repair import joined
+from facerender.scene.environment import panorama_lights
 from facerender.scene.light import LightSpace
 from facerender.scene.view import View
 from facerender.values.vectors import Vector
@@ -111,6 +112,10 @@ class Maps:
             uniforms["shadow_size"] = np.array([(s.tan_radius, s.top, s.scale) for s in spaces])
         if environment := look.environment:
             uniforms["environment_sh"] = environment.panorama.coefficients
+            if count := len(look.lighting.environment):
+                split = panorama_lights(environment.panorama, count)
+                uniforms["environment_sh"] = split.coefficients
+                uniforms["environment_around"] = environment.scale * split.around
             uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
             uniforms["environment_scale"] = environment.scale
             uniforms["environment_size"] = len(environment.panorama.map) - 2
@@ -161,7 +166,7 @@ class Maps:
                 behind += _behind(look, region, area)
         surface = Target((1,), size=(len(front) * side, side), sampled=True, number=2)
         image = replace(surface, channels=(4,))
-        light = look.lights, look.lighting.order, look.ambient, look.environment
+        light = tuple(look.lighting.lights), look.ambient, look.environment
         value = side, texels, look.materials, *light, look.shading.slope_filter
         key, clear = derived.of("refraction", value, object), (0.0, 0.0, 0.0, _EMPTY)
         return [
@@ -178,8 +183,11 @@ def _shadow_texels(look: Appearance, view: View, size: tuple[int, int]) -> int:
     if not (count := len(look.light_spaces)):
         return 0
     if count > MAX_SHADOWS:
+        around = len(look.lighting.environment)
+        including = f", including {around} of the environment" if around else ""
         raise InputError(
-            f"{count} lights cast shadows: at most {MAX_SHADOWS} may; turn off the other shadows"
+            f"{count} lights cast shadows{including}: at most {MAX_SHADOWS} may; turn off "
+            "the other shadows"
         )
     depth = max(float(view.matrix[3, 3]), 1e-3)
     columns = view.matrix[:3, :2]

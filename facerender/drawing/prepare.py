@@ -45,35 +45,50 @@ class LightGroup:
 
     kind : see ``scene.light.LIGHT_KINDS``
     shadows : index of the shadow map of the group's first light; None for lights without shadows
+    environment : whether the lights belong to the environment map
     """
 
     kind: str
     specular: bool
     count: int
     shadows: int | None = None
+    environment: bool = False
 
 
 class Lighting:
-    """The lights of a scene in the order in which programs loop over them.
+    """The lights of a scene and of its environment map in the order in which programs loop over
+    them.
 
     Lights are sorted by kind, then by term (lights without a term last), then by shadow (lights
-    without shadows first).
+    without shadows first); the lights of the environment follow the scene's. They have no term: the
+    specular light of an environment is sampled.
 
-    order : for each sorted light, its index in the scene
+    order : for each sorted light, its index in the scene; the environment's are counted from the
+        number of the scene's lights
     by_type : the sorted lights by their entry in LIGHT_KINDS
     shining : number of lights with a specular term
     shadowed : indices of the scene's lights that cast shadows, in the order of their shadow maps
     """
 
     def __init__(self, scene: Scene, shading: Shading) -> None:
-        lights, types = scene.lights, [light.kind for light in scene.lights]
+        first = len(scene.lights)
+        lights, count = scene.lights, shading.environment_lights
+        self.environment = scene.environment.lights(count) if scene.environment and count else ()
+        lights += self.environment
+        types = [light.kind for light in lights]
         keys = [
-            (light_type.name, not shading.shines(index), light.shadow)
+            (
+                light_type.name,
+                index >= first or not shading.shines(index),
+                light.shadow,
+                index >= first,
+            )
             for index, (light, light_type) in enumerate(zip(lights, types, strict=True))
         ]
         groups, maps = [], 0
-        for (name, without_term, shadow), count in sorted(Counter(keys).items()):
-            groups.append(LightGroup(name, not without_term, count, maps if shadow else None))
+        for (name, without_term, shadow, around), count in sorted(Counter(keys).items()):
+            map_ = maps if shadow else None
+            groups.append(LightGroup(name, not without_term, count, map_, around))
             maps += count * shadow
         self.groups, self.order = tuple(groups), sorted(range(len(keys)), key=keys.__getitem__)
         self.lights = [lights[index] for index in self.order]

@@ -79,7 +79,7 @@ class Program:
 def _lights(groups: Sequence[LightGroup]) -> str:
     """Return the includes of kinds of lights, and the loops over groups of lights."""
     counts: Counter[str] = Counter()
-    doubts, added = "", ""
+    doubts, added, weighed = "", "", ""
     for group in groups:
         name, first = group.kind, counts[group.kind]
         counts[name] += group.count
@@ -90,11 +90,15 @@ def _lights(groups: Sequence[LightGroup]) -> str:
             doubts += f" {loop}if (in_doubt({light}, {index}, s, p)) doubts |= 1 << {index};"
             light = f"shadowed({light}, seen[{index}])"
         added += f" {loop}add_light(s, v, {light}, {str(group.specular).lower()});"
+        if group.environment:
+            light = f"{name}_light(i, s.position)"
+            weighed += f" {loop}add_fractions(s, {light}, i - {first}, seen[{index}]);"
     includes = "".join(
         f'#define {name.upper()}_LIGHTS {count}\n#include "host/light/{name}.glsl"\n'
         for name, count in counts.items()
     )
-    return f"{includes}#define EVERY_SHADOW{doubts}\n#define EVERY_LIGHT{added}\n"
+    loops = {"SHADOW": doubts, "LIGHT": added, "FRACTION": weighed}
+    return includes + "".join(f"#define EVERY_{name}{loop}\n" for name, loop in loops.items())
 
 
 @dataclass(frozen=True)
@@ -259,7 +263,8 @@ def shade_draw(
     two_lobes, environment = "TWO_LOBES" in features, ""
     second = material.second_slope if two_lobes else None
     if look.environment is not None:
-        features += ("ENVIRONMENT",)
+        count = len(lighting.environment)
+        features += ("ENVIRONMENT", *(f"ENVIRONMENT_LIGHTS {count}",) * bool(count))
         if shading.environment_samples and material.ks > 0.0 and only != "diffuse":
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,6 +14,7 @@ from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import resolve, simplify
 from facerender.material import Material
 from facerender.mesh.part import Space
+from facerender.scene.environment import panorama_lights
 from facerender.scene.light import Light, half_sum
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
@@ -189,6 +191,32 @@ class _Pixels:
             brdf += fraction * lobe.brdf(n, l, v, slope_filtered(m, variance), material.f0)
         return l, spread, received * (self.weight * brdf)[:, None]
 
+    def fractions(
+        self, lights: Sequence[Light], around: Float, visibility: NDArray[np.float32]
+    ) -> tuple[Float, Float]:
+        """Return the visible fractions (N, 3) of the irradiance of an environment's remainder, and
+        of its specular light; see ``shaders/host/environment.glsl``.
+
+        around : ``PanoramaLights.around``, scaled
+        visibility : visible fraction of each of the lights, (H, W, lights)
+        """
+        mirrored = 2.0 * dot(self.n, self.v)[:, None] * self.n - self.v
+        sums = np.zeros((4, *self.n.shape))
+        for light, rest, seen in zip(lights, around, visibility[self.covered].T, strict=True):
+            l, sine = light.direction, math.sin(math.radians(light.radius))
+            width = 2.0 * self.lobes[0][0] ** 2 + 0.5 * sine**2 + 0.02
+            lobe = np.exp((mirrored @ l - 1.0) / width) + 1e-4
+            weights = (
+                np.maximum(self.n @ l, 0.0)[:, None] * rest,
+                lobe[:, None] * (light.irradiance + rest),
+            )
+            for row, weight in enumerate(weights):
+                sums[2 * row] += seen[:, None] * weight
+                sums[2 * row + 1] += weight
+        seen_sums, weight_sums = sums[::2], np.maximum(sums[1::2], 1e-30)
+        irradiance, specular = seen_sums / weight_sums
+        return irradiance, specular
+
 
 def _parts(gbuffer: GBuffer, scene: Scene, term: Term) -> Iterator[_Pixels]:
     """Yield the pixels of each part that is visible."""
@@ -217,10 +245,12 @@ def layers(
         covered, coupling = pixels.covered, pixels.coupling(shading)
         entered = pixels.occlusion * np.asarray(scene.ambient) * coupling(None)
         ambient[covered] = pixels.albedo * entered
-        for index, light in enumerate(scene.lights):
+        for index, light in enumerate(scene.lights + resolved.appearance.lighting.environment):
             visible = gbuffer.visibility[covered][:, index, None] if light.shadow else 1.0
             lit = pixels.lit(light, terms[pixels.index], scene.mesh.space, visible)
-            l, spread, specular[index][covered] = lit
+            l, spread, shine = lit
+            if index < len(specular):
+                specular[index][covered] = shine
             factor = coupling(dot(pixels.n, l))
             diffuse[covered] += pixels.albedo * spread * factor
             entered = entered + spread * factor
@@ -233,21 +263,29 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     """Return the radiance from the environment, (H, W, 3) float64; see also :func:`shade`.
 
     The lights, the lobe and ``small_slope`` have no effect: the environment's reflections use the
-    exact lobe.
+    exact lobe. The diffuse light of the environment's own lights is left out.
     """
-    scene = simplify(scene, shading)
+    look, scene = resolve(scene, shading).appearance, simplify(scene, shading)
     image = np.zeros(gbuffer.normalised_position.shape)
     if scene.environment is None:
         return image
     panorama, turn = scene.environment.panorama, scene.environment.turn
     samples, term = shading.environment_samples, replace(shading.term, lobe="exact", m=None)
+    first, lights = len(scene.lights), look.lighting.environment
+    coefficients = panorama.coefficients
+    if lights:
+        split = panorama_lights(panorama, len(lights))
+        coefficients, around = split.coefficients, scene.environment.scale * split.around
     for pixels in _parts(gbuffer, scene, shading.term):
         n, v, material = pixels.n @ turn.T, pixels.v @ turn.T, pixels.material
-        irradiance = environment_irradiance(panorama.coefficients, n)
-        total = pixels.albedo * pixels.occlusion * irradiance * pixels.coupling(shading)(None)
+        irradiance = environment_irradiance(coefficients, n)
+        fractions: tuple[Float | float, Float | float] = pixels.occlusion, 1.0
+        if lights:
+            fractions = pixels.fractions(lights, around, gbuffer.visibility[..., first:])
+        total = pixels.albedo * fractions[0] * irradiance * pixels.coupling(shading)(None)
         brdf = partial(term.brdf, f0=material.f0)
         for m, fraction in pixels.lobes * bool(samples and material.ks > 0.0):
             reflection = reflected(panorama.map, len(panorama.map) - 2, n, v, m, brdf, samples)
-            total += (fraction * pixels.weight)[:, None] * reflection
+            total += (fraction * pixels.weight)[:, None] * fractions[1] * reflection
         image[pixels.covered] = scene.environment.scale * total
     return image

@@ -306,6 +306,7 @@ class Renderer:
 
     def _for_data(self, scene: Scene, shading: Shading, view: View) -> Structure:
         """Return the structure of frames of a scene's data."""
+        shading = shading.replace(environment_lights=0)
         resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)
         return self._with_cut(self._structure(resolved, view, 1, refracts=False, scatters=False))
 
@@ -459,7 +460,8 @@ class Renderer:
         images = dict(zip(names, surfaces, strict=True))
         position, normal, albedo, uv = (images[name] for name in names[:4])
         lobes, emitted, order = (images.get(name) for name in ("lobes", "emitted", "layer"))
-        visibilities = np.ones((*position.shape[:2], len(scene.lights)), dtype=np.float32)
+        count = len(look.lighting.lights)
+        visibilities = np.ones((*position.shape[:2], count), dtype=np.float32)
         if shadowed := look.lighting.shadowed:
             visibilities[..., shadowed] = self._fractions(of, view, layer, inputs)
         material = scene.mesh.materials[layer.part] if layer else None

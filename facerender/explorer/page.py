@@ -185,7 +185,8 @@ MAX_LIGHTS = 8
 # Parameters of the shading that the page draws, or whose omission has a name in _omitted.
 _NAMED = {
     *("model", "lobe", "fresnel", "masking", "m", "small_slope", "outside", "diffuse"),
-    *("scatter_samples", "environment", "environment_samples", "two_lobes", "shadow_lights"),
+    *("scatter_samples", "environment", "environment_samples", "environment_lights"),
+    *("two_lobes", "shadow_lights"),
 }
 
 

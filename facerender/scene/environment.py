@@ -1,5 +1,10 @@
-"""Environment maps: a panorama, its octahedral mip levels and irradiance coefficients for shading,
-and a procedural studio panorama. Files are .hdr, .exr or NumPy."""
+"""Environment maps: a panorama, the values derived from it for shading, and a procedural studio
+panorama. Files are .hdr, .exr or NumPy.
+
+Shading reads a panorama in three forms. Irradiance is nine coefficients of spherical harmonics.
+Specular light is filtered samples of octahedral mip levels. Occlusion needs directions that shadow
+maps can serve: a few disc lights, which hold the bright areas (:func:`panorama_lights`). Their
+visible fractions also stand for the areas between them."""
 
 from __future__ import annotations
 
@@ -16,7 +21,9 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, closest_name, quoted
 from facerender.images.files import MAX_BYTES, check_pixels, png_bytes, read_image
 from facerender.images.image import encode_srgb8
+from facerender.scene.light import Light
 from facerender.system.files import read_file, suffix_of
+from facerender.terms.model import MAX_RADIUS
 from facerender.values.fields import (
     PATH,
     TEXT,
@@ -27,7 +34,7 @@ from facerender.values.fields import (
     field_of,
     record,
 )
-from facerender.values.vectors import AZIMUTHS, MAX_RADIANCE, direction_to, numbers_in
+from facerender.values.vectors import AZIMUTHS, MAX_RADIANCE, direction_to, numbers_in, unit
 
 Float = NDArray[np.float64]
 Float32 = NDArray[np.float32]
@@ -37,6 +44,10 @@ LEVELS = 7
 _INSIDE = 4  # each texel of the octahedral map averages 4 x 4 samples of the panorama
 _SUFFIXES = (".hdr", ".exr", ".npy", ".npz")
 STUDIO = "studio"  # name of the procedural environment map
+_CELLS = 64  # rows of the cells from which lights are made
+_LEAST_RADIUS = 0.25  # of a light, in degrees; the sun has 0.27
+_LLOYD_STEPS = 10  # further steps move areas by less than a degree
+_DISC_STEPS = 5  # further steps change radii by less than a tenth
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +91,8 @@ class Panorama:
     @cached_property
     def coefficients(self) -> Float:
         """Irradiance for each normal, as nine RGB coefficients of spherical harmonics, (9, 3)."""
-        from facerender.terms.environment import harmonics
-
         radiance, directions, solid_angle = self._resampled
-        weights = harmonics(directions) * solid_angle[..., None]
-        received = np.tensordot(weights, radiance, ((0, 1), (0, 1)))
-        return np.array([16, 32, 32, 32, 60, 60, 5, 60, 15])[:, None] / 64.0 * received
+        return _coefficients(radiance * solid_angle[..., None], directions)
 
     @cached_property
     def map(self) -> Float32:
@@ -141,6 +148,87 @@ class Panorama:
         return total / weights, weights * (2.0 / (SIDE * _INSIDE)) ** 2
 
 
+@dataclass(frozen=True, eq=False)
+class PanoramaLights:
+    """A panorama as K disc lights and a remainder.
+
+    directions : (K, 3) float64, unit vectors
+    radii : (K,), angular radii in degrees, in [0.25, 20]
+    irradiance : (K, 3), of a surface that faces the light
+    around : (K, 3), integral of the remainder's radiance over the area of the light
+    coefficients : (9, 3), of the remainder; see :attr:`Panorama.coefficients`
+    """
+
+    directions: Float
+    radii: Float
+    irradiance: Float
+    around: Float
+    coefficients: Float
+
+
+@lru_cache(maxsize=4)
+def panorama_lights(panorama: Panorama, count: int) -> PanoramaLights:
+    """Divide a panorama into `count` lights (fewer if it has fewer pixels) and a remainder.
+
+    The areas begin with equal energy (Debevec 2005, "A median cut algorithm for light probe
+    sampling"), then each consists of the directions nearest to its mean (Lloyd 1982, "Least squares
+    quantization in PCM"). The light of an area is the radiance within MAX_RADIUS of its brightest
+    part, or within twice its radius: a sun is a small light apart from its sky, and a soft box is
+    one disc or a few.
+    """
+    radiance, directions, solid_angle = panorama._resampled
+    light = radiance * solid_angle[..., None]
+    weight = light.mean(axis=-1) + solid_angle * max(1e-6 * float(light.mean()), 1e-30)
+    rows, columns = (
+        np.linspace(0, size, min(size, most) + 1)[:-1].astype(int)
+        for size, most in zip(weight.shape, (_CELLS, 2 * _CELLS), strict=True)
+    )
+    values = np.concatenate([light, directions * weight[..., None], weight[..., None]], axis=-1)
+    cells = np.add.reduceat(np.add.reduceat(values, rows, 0), columns, 1).reshape(-1, 7)
+    energy, moments, weights = np.split(cells, (3, 6), axis=1)
+    points = unit(moments)
+
+    areas = [np.arange(len(cells))]
+    while len(areas) < min(count, len(cells)):
+        sums = [weights[area].sum() * (len(area) > 1) for area in areas]
+        area = areas.pop(int(np.argmax(sums)))
+        offsets = points[area] - moments[area].sum(axis=0) / weights[area].sum()
+        # The factors decide between equal extents, which rounding would decide otherwise.
+        extent = (weights[area] * offsets**2).sum(axis=0) * (1.0, 1.001, 1.002)
+        area = area[np.argsort(offsets[:, int(np.argmax(extent))], kind="stable")]
+        until = np.cumsum(weights[area])
+        middle = min(int(np.searchsorted(until, 0.5 * until[-1])) + 1, len(area) - 1)
+        areas += [area[:middle], area[middle:]]
+    centres = unit(np.array([moments[area].sum(axis=0) for area in areas]))
+
+    def sums_of(values: Float, chosen: NDArray[np.bool_] | bool = True) -> Float:
+        inside = [chosen & (nearest == index) for index in range(len(centres))]
+        return np.array([values[cells].sum(axis=0) for cells in inside])
+
+    for _ in range(_LLOYD_STEPS):
+        nearest = np.argmax(points @ centres.T, axis=1)
+        means = unit(sums_of(moments))
+        centres = np.where(means.any(axis=1, keepdims=True), means, centres)
+    reach = np.full(len(centres), MAX_RADIUS)
+    for _ in range(_DISC_STEPS):
+        cosines = np.einsum("ij,ij->i", points, centres[nearest])
+        inside = cosines > np.cos(np.radians(reach))[nearest]
+        totals = sums_of(moments, inside)
+        centres = np.where(totals.any(axis=1, keepdims=True), unit(totals), centres)
+        # The mean of the directions within a disc of radius R is (1 + cos R)/2 long.
+        length = np.linalg.norm(totals, axis=1) / np.maximum(sums_of(weights, inside)[:, 0], 1e-300)
+        radii = np.degrees(np.arccos(np.clip(2.0 * length - 1.0, -1.0, 1.0)))
+        radii = np.clip(radii, _LEAST_RADIUS, MAX_RADIUS)
+        reach = np.clip(2.0 * radii, 180.0 / _CELLS, MAX_RADIUS)
+    return PanoramaLights(
+        centres,
+        radii,
+        sums_of(energy, inside),
+        sums_of(energy, ~inside),
+        _coefficients(np.where(inside[:, None], 0.0, energy), points),
+    )
+
+
 @record("environment ")
 class Environment:
     """An environment map with its rotation and scale.
@@ -165,6 +253,18 @@ class Environment:
         """Rotation matrix (3, 3) from directions in mesh space to directions in the panorama."""
         cos, sin = np.cos(np.radians(self.rotation)), np.sin(np.radians(self.rotation))
         return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
+
+    def lights(self, count: int) -> tuple[Light, ...]:
+        """Return `count` disc lights, rotated and scaled; see :func:`panorama_lights`."""
+        split = panorama_lights(self.panorama, count)
+        x, y, z = np.clip(split.directions @ self.turn, -1.0, 1.0).T
+        azimuths, elevations = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
+        irradiance = np.minimum(self.scale * split.irradiance, MAX_RADIANCE)
+        columns = azimuths, elevations, irradiance, split.radii
+        return tuple(
+            Light(float(azimuth), float(elevation), tuple(color.tolist()), radius=float(radius))
+            for azimuth, elevation, color, radius in zip(*columns, strict=True)
+        )
 
     def _repr_png_(self) -> bytes:
         """Return the rotated and scaled panorama as PNG of about 512 columns, for notebooks. The
@@ -196,6 +296,16 @@ def studio() -> Panorama:
             box *= np.clip((half - np.abs(offset)) / 0.08 + 0.5, 0.0, 1.0)
         room = room + box[..., None] * color
     return Panorama("studio", room.astype(np.float32))
+
+
+def _coefficients(light: Float, directions: Float) -> Float:
+    """Return nine RGB coefficients of spherical harmonics, (9, 3), from the integrals of the
+    radiance over pixels and their directions, (..., 3) each."""
+    from facerender.terms.environment import harmonics
+
+    received = harmonics(directions).reshape(-1, 9).T @ light.reshape(-1, 3)
+    factors = np.array([16, 32, 32, 32, 60, 60, 5, 60, 15]) / 64.0
+    return np.asarray(factors[:, None] * received)
 
 
 def _directions(rows: int) -> Float:

@@ -201,6 +201,12 @@ class Shading(Term):
         "directions of the environment map that each lobe reflects, an even number",
         "0 disables the specular reflection of the environment",
     )
+    environment_lights: int = field(
+        IntegerRange(0, 16),
+        8,
+        "lights that stand for the environment map's bright areas and cast shadows",
+        "0 omits the shadows of the environment",
+    )
     specular_lights: tuple[int, ...] | None = field(
         _Indices(), None, "indices of the lights with a specular term; None for all"
     )

@@ -2,6 +2,7 @@
 // drawing/program.py writes the text before this file:
 // - the includes of the kinds of lights;
 // - EVERY_LIGHT, which calls add_light for each light and states whether it has a specular term;
+// - EVERY_FRACTION, which calls add_fractions for each light of the environment;
 // - if a light has a specular term: SPECULAR and specular_term(n, l, v, m, f0); with
 //   TWO_LOBES the arguments second_m and lobe_weight precede f0;
 // - with ENVIRONMENT_SAMPLES: ENVIRONMENT_RADIANCE, the reflected environment light as an
@@ -108,17 +109,26 @@ void add_light(Surface s, vec3 v, Disc light, bool shines) {
 
 #ifdef ENVIRONMENT
 void add_environment(Surface s, vec3 v) {
-    vec3 received = s.occlusion * environment_irradiance(s.normal);
+    vec3 received = environment_irradiance(s.normal);
+#ifdef ENVIRONMENT_LIGHTS
+    received *= irradiance_seen / max(irradiance_weights, 1e-30);
+#else
+    received *= s.occlusion;  // The shadows of lights replace it.
+#endif
 #ifdef COUPLED
     received *= fr_diffuse_coupled(mean_albedo, camera_albedo, mean_albedo);
 #endif
     diffuse += received;
 #ifdef ENVIRONMENT_SAMPLES
 #ifdef TWO_LOBES
-    specular += environment_specular(s.normal, v, s.m, s.second_m, s.lobe_weight, f0);
+    vec3 reflected = environment_specular(s.normal, v, s.m, s.second_m, s.lobe_weight, f0);
 #else
-    specular += environment_specular(s.normal, v, s.m, f0);
+    vec3 reflected = environment_specular(s.normal, v, s.m, f0);
 #endif
+#ifdef ENVIRONMENT_LIGHTS
+    reflected *= specular_seen / max(specular_weights, 1e-30);
+#endif
+    specular += reflected;
 #endif
 }
 #endif
@@ -156,6 +166,7 @@ vec3 shaded(Point p) {
     albedo = vec4(diffuse_brdf * s.albedo, 1.0);
 #endif
 #ifdef ENVIRONMENT
+    EVERY_FRACTION
     add_environment(s, v);  // After SCATTER: this slowly varying light is not scattered.
 #endif
     vec3 result = vec3(0.0);
