@@ -148,6 +148,12 @@ class Material:
         COLORS, (0.0, 0.0, 0.0), "emitted linear radiance; it does not light other surfaces"
     )
     emissive_map: Texture | None = field(_TEXTURE, None)
+    unlit: bool = field(
+        SWITCH,
+        False,
+        "whether the albedo is the radiance, whatever the lights, as in KHR_materials_unlit of "
+        "glTF. Of the other fields, only opacity and transmission then have an effect",
+    )
     normal_strength: float = field(
         Range(0.0, MAX_NORMAL_STRENGTH),
         1.0,
@@ -247,14 +253,14 @@ class Material:
         return self.transmission > 0.0 and self.refraction > 1.0
 
     @property
-    def emits(self) -> bool:
-        """Whether the surface shows light that it does not reflect: emitted or refracted light."""
-        return any(self.emissive) or self.refracts
+    def emission(self) -> Vector:
+        """Emitted radiance; of an unlit surface, the factor on the albedo."""
+        return (1.0 - self.transmission,) * 3 if self.unlit else self.emissive
 
     @cached_property
     def diffuse_weight(self) -> float:
         """Weight of the diffuse term."""
-        return self.kd * (1.0 - self.transmission)
+        return 0.0 if self.unlit else self.kd * (1.0 - self.transmission)
 
     @cached_property
     def solid(self) -> bool:
@@ -292,7 +298,7 @@ COMMON: dict[str, Any] = {
     name: getattr(Material, name)
     for name in (
         *("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity"),
-        *("emissive", "transmission", "refraction"),
+        *("emissive", "unlit", "transmission", "refraction"),
     )
 }
 _LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
@@ -324,6 +330,7 @@ _NEEDED: Mapping[str, tuple[str, Callable[[Material], bool]]] = {
     "alpha_cutoff": ("alpha mask", lambda material: material.alpha == "mask"),
     "opacity": ("alpha blend or mask", lambda m: m.alpha != "opaque" or m.transmission > 0.0),
     "refraction": ("transmission", lambda material: material.transmission > 0.0),
+    **dict.fromkeys(("m", "f0", "ks", "kd"), ("unlit=false", lambda material: not material.unlit)),
 }
 
 

@@ -127,6 +127,17 @@ def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     assert scale <= farthest / 65535 * (1 + 1e-9)
 
 
+def test_depths_behind_the_bounding_sphere_are_not_0(drawing):
+    """A pose may move the surface away, for example by a whole 65536 steps."""
+    mesh = fr.Mesh.from_arrays([(-1, -1, 0), (1, -1, 0), (0, 2, 0)], [(0, 1, 2)])
+    camera = fr.Camera(position=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0))
+    scale = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0).details["depth_scale"]
+    for steps in (65534, 65536, 80000):
+        away = mesh.with_positions(mesh.parts[0].positions - (0.0, 0.0, steps * scale - 4.0))
+        (content,) = draw(job_of(camera=camera), away, drawing, ("depth",), 0.0).files.values()
+        assert [*np.unique(unchanged(content))] == [0, min(steps, 65535)]
+
+
 def test_cameras_of_one_distance_share_their_scale(head, drawing):
     jobs = [job_of(camera=camera) for camera in fr.turntable(count=5)]
     scales = [draw(job, head, drawing, ("depth",), 0.0).details["depth_scale"] for job in jobs]

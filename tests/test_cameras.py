@@ -56,6 +56,15 @@ def mini():
     return fr.load_mesh(MINI_HEAD)
 
 
+def test_named_cameras_see_one_side_of_the_face(mini):
+    """In profile and at three quarters, the nose points to the right."""
+    tip = mini.parts[0].positions[mini.parts[0].positions[:, 2].argmax()]
+    for name in ("three-quarter", "profile"):
+        scene = fr.Scene(mini, name)
+        pixels, _ = view_of(scene, 1.0).project(mini, tip[None] * (0.0, 1.0, 1.0), (100, 100))
+        assert pixels[0, 0] > 55.0, name
+
+
 def test_rotations_about_fixed_axes():
     """Rotations about x, then y, then z; multiples of 90 degrees are exact."""
     x, y, z = np.eye(3)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import facerender as fr
 from benchmarks.skin_environment import panorama_directions
@@ -75,6 +76,26 @@ def test_small_spot_equals_a_directional_light(small, head):
     both = [small.render(each, only="diffuse").linear for each in (around(wide, environment),)]
     lit = small.render(around(wide, None, lights=(light,)), only="diffuse").linear
     assert np.corrcoef(both[0].ravel(), lit.ravel())[0, 1] > 0.97
+
+
+@pytest.mark.parametrize(
+    ("column", "rotation", "side"),
+    [(16, 0.0, "x"), (48, 0.0, "-x"), (32, 90.0, "x"), (32, 0.0, "z"), (0, 180.0, "z")],
+)
+def test_a_bright_column_lights_the_side_of_its_direction(egl, column, rotation, side):
+    """The middle of 64 columns is +z. Columns to its left are +x: the left side of the face, on the
+    right in an image from the front. A rotation moves the map to the left."""
+    radiance = np.full((32, 64, 3), 0.05, np.float32)
+    radiance[:, np.arange(column - 3, column + 3)] = 3.0
+    environment = fr.Environment(fr.Panorama("column", radiance), rotation)
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    mesh = fr.Mesh.from_arrays(ball.vertices, ball.faces).with_material(m=0.2, f0=0.5)
+    with fr.Renderer((64, 64), samples=1, backend=egl) as renderer:
+        scene = fr.Scene(mesh, lights=(), ambient=0.0, environment=environment, background=None)
+        light = renderer.render(scene).linear[..., :3].sum(axis=(0, 2))
+    left, middle, right = light[:21].sum(), light[21:43].sum(), light[43:].sum()
+    brightest = {"x": right, "-x": left, "z": middle}[side]
+    assert brightest > 1.2 * max({left, middle, right} - {brightest})
 
 
 @pytest.mark.slow

@@ -518,8 +518,23 @@ def _(folder):
     assert "pbrSpecularGlossiness" in messages[0]
 
 
+@case("KHR_materials_unlit")
+def _(folder):
+    """Emission, transmission and metal of the file are for programs without the extension."""
+    file = File()
+    own = {"KHR_materials_unlit": {}, "KHR_materials_transmission": {"transmissionFactor": 0.5}}
+    file.material |= {"extensions": own, "emissiveFactor": [0, 1, 0]}
+    metallic = {"baseColorFactor": [0.5, 0.25, 1, 1], "metallicFactor": 1}
+    file.material["pbrMetallicRoughness"] |= metallic
+    scene = fr.Scene(file.quiet(folder), lights=("key",), environment="studio", background=None)
+    with fr.Renderer((64, 48), samples=1) as renderer:
+        linear = renderer.render(scene).linear
+        np.testing.assert_allclose(linear, renderer.render(scene, only="albedo").linear, atol=1e-6)
+    assert linear[..., 3].mean() > 0.1
+    assert np.median(linear[linear[..., 3] > 0.0], axis=0)[2] > 0.1
+
+
 LAYERS = {
-    "KHR_materials_unlit": {},
     "KHR_materials_clearcoat": {"clearcoatFactor": 0.5},
     "KHR_materials_sheen": {"sheenColorFactor": [0, 0.1, 0]},
     "KHR_materials_diffuse_transmission": {"diffuseTransmissionFactor": 0.5},

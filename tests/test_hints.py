@@ -14,7 +14,7 @@ import facerender as fr
 from facerender.commands import main
 from facerender.errors import noting
 from facerender.mesh import hints
-from tests.awkward_files import MINI_HEAD, mini_head, write_glb, write_obj
+from tests.awkward_files import MINI_HEAD, mini_head, write_glb, write_obj, write_stl
 from tests.people import ball, body
 from tests.test_batch import draw, reused, rows, table  # noqa: F401  # fixtures
 from tests.verification.cache import wait_for_cache
@@ -186,6 +186,55 @@ def test_faint_highlights(tmp_path):
     assert hints.faint(mapped) is None  # the map is not decoded
     half = mesh.with_material(ks=1.0, roughness_map=rough, roughness_factor=0.5)
     assert hints.faint(half, True) is None
+
+
+def scan(folder, *images):
+    """Write the head without maps, and images beside it; return the messages of its load."""
+    folder.mkdir()
+    path = write_obj(folder / "scan.obj", mini_head())
+    for image in images:
+        (folder / image).parent.mkdir(exist_ok=True)
+        (folder / image).write_bytes(b"an image")
+    with noting() as messages:
+        fr.load_mesh(path)
+    return messages
+
+
+@pytest.mark.parametrize(
+    ("images", "count", "named"),
+    [
+        (["textures/normal.png", "textures/head_Color.JPG", "textures/rough.png"], 3, 1),
+        (["Scan_Textures/u1_v1.png"], 1, 0),
+        (["maps/a.png", "maps/b.png", "maps/read.txt"], 2, "maps/FILE"),
+        (["Map-COL.jpg", "Map-SPEC.jpg"], 2, 0),
+        (["basecolor.png", "Textures/b.png"], 1, 0),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::facerender.FacerenderWarning")
+def test_maps_beside_a_mesh_without_maps(tmp_path, images, count, named):
+    folder = tmp_path / "a"
+    (message,) = scan(folder, *images)
+    image = images[named] if isinstance(named, int) else named
+    where = f"{image.partition('/')[0]}/" if "/" in image else "its folder"
+    noun = f"{count} image{'s' * (count > 1)}"
+    holds = f"scan.obj has no albedo map, but {where} holds {noun}"
+    assert message == f"{holds}: give --albedo {folder / image}"
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_maps_beside_a_mesh(tmp_path):
+    """Folders without images, renderings, deeper folders, and meshes that cannot have maps."""
+    others = ["textures/read.txt", "renderings/color.png", "out.png", "mapped.png"]
+    assert scan(tmp_path / "a", *others) == []
+    (tmp_path / "b/textures/4k").mkdir(parents=True)
+    (tmp_path / "b/textures/4k/color.png").write_bytes(b"")
+    write_obj(tmp_path / "b/scan.obj", mini_head())
+    fr.load_mesh(tmp_path / "b/scan.obj")
+    stl = write_stl(tmp_path / "b/scan.stl", mini_head())
+    (tmp_path / "b/textures/color.png").write_bytes(b"")
+    fr.load_mesh(stl)
+    (tmp_path / "a/textures/color.png").write_bytes(b"")
+    fr.load_mesh(tmp_path / "a/scan.obj", albedo=fr.Texture.from_array(np.zeros((4, 4, 3))))
 
 
 def test_small_dull_parts_give_no_hint():

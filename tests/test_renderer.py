@@ -167,6 +167,12 @@ def test_data_views(renderer, head):
     # The range of depths is at most the depth of the head along the view axis.
     extent = head.bounds[1, 2] - head.bounds[0, 2]
     assert 0.3 * extent < np.ptp(depth[covered][:, 0]) < extent
+    gbuffer = renderer.gbuffer(scene, blended=False)
+    of_gbuffer = gbuffer.part >= 0
+    assert of_gbuffer.mean() > 0.2
+    np.testing.assert_array_equal(gbuffer.depth[~of_gbuffer], 0.0)
+    apart = np.abs(gbuffer.depth - depth[..., 0])[of_gbuffer]
+    assert np.quantile(apart, 0.95) < 1e-5 * depth.max()  # lashes may be nearer
     assert (albedo[covered][:, :3] >= 0).all()
     assert (albedo[covered][:, :3] <= 1).all()
 

@@ -68,7 +68,7 @@ FACES = fr.turntable(fr.Camera(frame="face"), 3)
 CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options; the camera of each file
     "a file each": (
         "--camera profile --camera 20,10,1.5 -o a.png",
-        {"a_000.png": fr.Camera(90.0), "a_001.png": fr.Camera(20.0, 10.0, zoom=1.5)},
+        {"a_000.png": fr.Camera(-90.0), "a_001.png": fr.Camera(20.0, 10.0, zoom=1.5)},
     ),
     "turntable": (
         "--camera turntable:3 --frame face -o t.png",
@@ -80,7 +80,7 @@ CAMERAS: dict[str, tuple[str, dict[str, fr.Camera]]] = {  # options; the camera 
     ),
     "option before a scene file": (
         "--scene two.toml --camera profile -o p.png",
-        {"p.png": fr.Camera(90.0)},
+        {"p.png": fr.Camera(-90.0)},
     ),
     "options before a camera file": (
         "--camera 40.toml --fov 30 --frame head -o p.png",

@@ -176,7 +176,7 @@ MATERIAL = {
     **{"kd": 0.8, "second_slope": 0.5, "lobe_weight": 0.7, "scattering": "skin"},
     **{"alpha": "blend", "opacity": 0.5, "alpha_cutoff": 0.4, "emissive": [0.1, 0.2, 0.3]},
     **{"normal_strength": 0.5, "occlusion_strength": 0.5, "second_uv": ["normal_map"]},
-    **{"transmission": 0.5, "refraction": 1.3, "double_sided": True},
+    **{"transmission": 0.5, "refraction": 1.3, "double_sided": True, "unlit": True},
 }
 SHADING = {
     **{"outside": "exact", "ks": 0.5, "normal_map": False, "ambient": False, "two_lobes": False},

@@ -245,7 +245,8 @@ def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:
         pixels, values = frame.linear[..., 0].astype(np.uint16), "number of the part from 1"
     elif name == "depth":
         depth = frame.linear[..., 0].astype(np.float64)
-        pixels = np.round(depth / depth_scale).astype(np.uint16)
+        covered = frame.linear[..., 3] > 0.0  # 0 stands for no surface
+        pixels = np.round(depth / depth_scale).clip(covered, _MAX).astype(np.uint16)
         values = f"{depth_scale:.9g} mesh units per step"
     elif name == "motion":
         pixels, values = _flow(frame.linear), "1/64 pixel per step, 0 at 32768"

@@ -388,6 +388,12 @@ class GBuffer:
         return np.where(self.part[..., None] >= 0, positions, 0.0)
 
     @property
+    def depth(self) -> NDArray[np.float64]:
+        """(H, W): depth along the viewing direction, in mesh units; 0 on the background."""
+        depth = (self.normalised_position - self.view.position) @ self.view.forward * self.space[3]
+        return np.where(self.part >= 0, depth, 0.0)
+
+    @property
     def coverage(self) -> NDArray[np.float64]:
         """(H, W): 1 on parts that are not blended, elsewhere the combined opacity of blended
         parts, reduced by their transmission; 0 on the background."""

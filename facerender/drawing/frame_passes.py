@@ -322,7 +322,7 @@ def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
     """
     materials = scene.mesh.materials
     lobes = ("lobes",) * any(material.two_lobes for material in materials)
-    emitted = ("emitted",) * any(material.emits for material in materials)
+    emitted = ("emitted",) * any(any(m.emission) or m.refracts for m in materials)
     return ("position", "normal", "albedo", "uv", *lobes, *emitted, *("layer",) * layer)
 
 
@@ -348,7 +348,7 @@ def surface_passes(of: Structure, images: Sequence[str], layer: Layer | None) ->
     look, draws = of.look, []
     for part in look.parts:
         features = (
-            *("EMISSIVE",) * any(part.material.emissive),
+            *("EMISSIVE",) * any(part.material.emission),
             # Every program must write all images of the pass, also for parts with one lobe.
             *("TWO_LOBES",) * ("lobes" in images and not part.material.two_lobes),
             *("SCATTER",) * (of.scattering is not None),

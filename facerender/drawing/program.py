@@ -219,6 +219,7 @@ def surface_features(resolved: ResolvedPart, shading: Shading) -> tuple[str, ...
         f"alpha_{alpha}": alpha != "opaque",
         "opacity_cut": alpha == "blend" and material.alpha == "mask",
         "transmission": material.thin,
+        "unlit": material.unlit,
         "uv2": bool(second),
     }
     names += [name for name, is_used in features.items() if is_used]
@@ -255,24 +256,25 @@ def shade_draw(
     uniforms : further uniforms
     """
     material, shading, lighting = part.material, look.shading, look.lighting
-    features = surface_features(part, shading) + shadow_features(lighting)
+    groups = () if material.unlit else lighting.groups
+    features = surface_features(part, shading) + shadow_features(lighting) * bool(groups)
     features += ("AMBIENT",) * any(look.ambient)  # type: ignore[arg-type]
     if only != "specular" and material.diffuse_weight > 0.0:
         features += "DIFFUSE", *("COUPLED",) * (shading.diffuse == "coupled" and material.ks > 0.0)
-    features += ("EMISSIVE",) * (only is None and any(material.emissive))
+    features += ("EMISSIVE",) * (only is None and any(material.emission))
     two_lobes, environment = "TWO_LOBES" in features, ""
     second = material.second_slope if two_lobes else None
-    if look.environment is not None:
+    if look.environment is not None and not material.unlit:
         count = len(lighting.environment)
         features += ("ENVIRONMENT", *(f"ENVIRONMENT_LIGHTS {count}",) * bool(count))
         if shading.environment_samples and material.ks > 0.0 and only != "diffuse":
             features += (f"ENVIRONMENT_SAMPLES {shading.environment_samples}",)
             environment = environment_call(shading.term, second)
     head = expression = ""
-    if term is not None and material.ks:
+    if term is not None and groups and material.ks:
         head, expression = prelude(term, smallest_m, two_lobes), call(term, second)
     code = head, expression, environment
-    program = Program("shade.frag", "surface.vert", features + further, lighting.groups, *code)
+    program = Program("shade.frag", "surface.vert", features + further, groups, *code)
     return Draw.of_part(program, part, **uniforms)
 
 
@@ -300,7 +302,7 @@ def part_uniforms(resolved: ResolvedPart) -> Uniforms:
         "specular_weight": material.ks,
         "diffuse_brdf": material.diffuse_weight / np.pi,
         "opacity": 1.0 if material.alpha == "opaque" else material.opacity,
-        "emissive": np.asarray(material.emissive),
+        "emissive": np.asarray(material.emission),
     }
 
 

@@ -140,7 +140,7 @@ class _Pixels:
 
         self.position, self.n = values(gbuffer.normalised_position), values(gbuffer.normal)
         self.v = unit(gbuffer.view.position - self.position)
-        self.weight = values(gbuffer.specular_weight)
+        self.weight = values(gbuffer.specular_weight) * (not material.unlit)
         self.occlusion = values(gbuffer.occlusion)[:, None]
         self.albedo = material.diffuse_weight / np.pi * values(gbuffer.albedo)
         m = np.broadcast_to(term.slope(values(gbuffer.m)), self.weight.shape)

@@ -44,7 +44,7 @@ MAX_NAMES = 4  # parts that a note names
 # Factors of materials that the page does not draw.
 UNDRAWN = (
     *("second_slope", "lobe_weight", "scattering", "normal_strength", "occlusion_strength"),
-    *("emissive", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
+    *("emissive", "unlit", "alpha", "alpha_cutoff", "opacity", "transmission", "refraction"),
 )
 LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it, the map is a PNG.
 
@@ -82,7 +82,7 @@ def lost_features(mesh: Mesh) -> list[str]:
     features = {
         f"blended parts{names}": bool(blended),
         "masks": "mask" in alphas,
-        "emission": any(any(material.emissive) for material in materials),
+        "emission": any(any(material.emission) for material in materials),
         "maps with second texture coordinates": any(map(_by_second, materials)),
         "map strengths": strengths != {(1.0, 1.0)},
     }

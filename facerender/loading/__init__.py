@@ -262,12 +262,14 @@ def load_mesh(
         name, unit = from_trimesh.name_of(source), from_trimesh.millimetres_of(source)
         read = partial(from_trimesh.pieces_of, source, name)
         mesh = _assembled(read, name, unit, _opened(_maps(options)), options)
-    elif source is options:
-        mesh_source = options.source
+    else:
+        mesh_source = options.source if source is options else source_of(source, kind)
         options.__dict__.pop("source", None)  # the content of the file takes memory
         mesh = _loaded(mesh_source, options, cache)
-    else:
-        mesh = _loaded(source_of(source, kind), options, cache)
+        skin = [(mesh.parts[i], mesh.materials[i].albedo_map) for i in mesh.skin]
+        colored = any(texture or part.colors is not None for part, texture in skin)
+        if mesh_source.folder and not colored and any(part.uv is not None for part, _ in skin):
+            sources.unused_maps(mesh_source.name, mesh_source.folder)
     if options.double_sided:
         mesh = mesh.with_material(double_sided=True)
     gloss, unit = tuple(map(gloss_of, mesh.materials)), options.millimetres or mesh.millimetres

@@ -118,8 +118,8 @@ def apply_names(pieces: Sequence[Piece], file: str, as_is: bool) -> None:
 
 def _is_bare(piece: Piece) -> bool:
     material = piece.material
-    solid = material.alpha == "opaque" and not material.transmission and piece.colors is None
-    return solid and not any(getattr(material, key) for key in MAPS)
+    plain = not material.transmission and not material.unlit and piece.colors is None
+    return plain and material.alpha == "opaque" and not any(getattr(material, key) for key in MAPS)
 
 
 def _stem(piece: Piece) -> str:

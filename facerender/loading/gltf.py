@@ -331,6 +331,7 @@ class Materials:
         metallic = source.get("pbrMetallicRoughness", {})
         glossy = extensions.get("KHR_materials_pbrSpecularGlossiness", {})
         specular = extensions.get("KHR_materials_specular", {})
+        unlit = "KHR_materials_unlit" in extensions
         self._warn_of(extensions)
         base = glossy.get("diffuseTexture", metallic.get("baseColorTexture"))
         alpha = _ALPHAS.get(source.get("alphaMode", "OPAQUE"), "opaque")
@@ -358,7 +359,7 @@ class Materials:
                     f"the {map_name} map of {self.name} needs a third set or transform of "
                     "texture coordinates: ignored, because a material can have only two"
                 )
-        if not glossy:
+        if not glossy and not unlit:
             self._look_for_metal(metallic)
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
         red, green, blue, opacity = (self._factor("albedo", channel) for channel in factor)
@@ -376,11 +377,12 @@ class Materials:
             opacity=opacity if alpha != "opaque" else 1.0,
             alpha_cutoff=self._factor("alphaCutoff", source.get("alphaCutoff", 0.5), MAX_RADIANCE),
             emissive=emissive,
+            unlit=unlit,
             double_sided=source.get("doubleSided", False),
             normal_strength=self._strength(source, "normalTexture", "scale", MAX_NORMAL_STRENGTH),
             occlusion_strength=self._strength(source, "occlusionTexture", "strength", 1.0),
             second_uv=tuple(key for key in maps if maps[key] and transforms[key] != first),
-            **self._transmission(extensions, metallic),
+            **({} if unlit else self._transmission(extensions, metallic)),
             **maps,
         )
         return material, first, second
@@ -389,8 +391,8 @@ class Materials:
         """Warn of the material's unsupported extensions that have an effect."""
         for key, extension in extensions.items():
             fate, _, how = EXTENSIONS.get(key, "").partition(": ")
-            always = key in ("KHR_materials_pbrSpecularGlossiness", "KHR_materials_unlit")
-            effect = always or any(map(np.any, extension.values()))  # a factor of 0 has no effect
+            # A factor of 0 has no effect.
+            effect = "Glossiness" in key or any(map(np.any, extension.values()))
             if fate == "warned" and effect:
                 self.warn(f"{self.name} has {key}, which is not supported: {how}")
 

@@ -279,7 +279,7 @@ EXTENSIONS = {
     "KHR_materials_specular": "drawn: the factor is ks, the texture's alpha the specular map; the "
     "mean of the colour multiplies f0. A tint or a colour texture is ignored with a warning",
     "KHR_materials_pbrSpecularGlossiness": "warned: only the diffuse colour is drawn",
-    "KHR_materials_unlit": "warned: drawn with lighting",
+    "KHR_materials_unlit": "drawn: the colour is the radiance; `--part '*,unlit=false'` lights it",
     "KHR_materials_clearcoat": "warned: drawn without the coat",
     "KHR_materials_sheen": "warned: drawn without sheen",
     "KHR_materials_transmission": "drawn: the factor is the transmission; a texture is ignored "

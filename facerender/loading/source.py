@@ -12,6 +12,7 @@ import struct
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path, PurePath
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -19,7 +20,7 @@ from urllib.parse import unquote, unquote_to_bytes
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.errors import InputError, clipped, quoted, reason, warn
+from facerender.errors import InputError, clipped, number_of, quoted, reason, warn
 from facerender.images.files import TooLarge, open_image
 from facerender.loading.gltf_document import chunks
 from facerender.system.files import MAX_FILE_BYTES, check_downloaded, data_dir, read_file, suffix_of
@@ -51,6 +52,9 @@ _BEGINNINGS = (
 _MESHES = ((b"glTF", ".glb"), (b"ply\n", ".ply"), (b"ply\r\n", ".ply"))
 BUILT_IN = data_dir("assets") / "head.glb"
 FORMATS = {".glb": "glTF", ".gltf": "glTF", ".obj": "OBJ", ".ply": "PLY", ".stl": "STL"}
+_IMAGES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
+_COLORS = re.compile("albedo|colou?r|diff|(?<![a-z])col(?![a-z])", re.IGNORECASE)
+_FOLDERS = ("tex", "texture", "textures", "map", "maps")  # ends of names of folders with maps
 _OBJ = re.compile(rb"(?:^|\n)[ \t]*(?:v|vn|vt|f|o|g|usemtl|mtllib)[ \t]+\S")
 
 
@@ -364,15 +368,33 @@ def is_image(
 
 
 def missing_image(referred: References, name: str) -> None:
-    """Warn of a missing image. If the mesh file's folder contains exactly one image, suggest it."""
-    suffixes = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".tga")
-    near = referred.folder.iterdir() if referred.folder else ()
-    beside = [path.name for path in near if path.suffix.lower() in suffixes]
-    hint = f"pass --albedo {clipped(beside[0], 80) if len(beside) == 1 else 'FILE'}"
+    """Warn of a missing image, and suggest the albedo map in the mesh file's folder."""
+    hint = f"pass --albedo {_albedo_in(referred.folder)[1]}"
     warn(
         f"{clipped(name, 80)} (named by {referred.name}) "
         f"{referred.why_not(name)}: rendering without it; {hint}"
     )
+
+
+def unused_maps(name: str, folder: Path) -> None:
+    """Warn of an albedo map in the folder of a mesh file without one, or of images in a folder of
+    maps there."""
+    entries = sorted(islice(folder.glob("*"), 1000))
+    for place in (folder, *(path for path in entries if path.name.lower().endswith(_FOLDERS))):
+        count, image = _albedo_in(place)
+        if count and (place is not folder or _COLORS.search(image)):
+            where = "its folder" if place is folder else f"{clipped(place.name, 80)}/"
+            remedy = f"{where} holds {number_of(count, 'image')}: give --albedo {place / image}"
+            return warn(f"{name} has no albedo map, but {remedy}")
+
+
+def _albedo_in(folder: Path | None) -> tuple[int, str]:
+    """Return the number of images in a folder, and the name of the only one, or of the first one
+    that is named as colours; FILE if there is none."""
+    entries = sorted(islice(folder.glob("*"), 1000)) if folder else ()
+    images = [path.name for path in entries if path.suffix.lower() in _IMAGES]
+    colors = images if len(images) == 1 else [*filter(_COLORS.search, images)]
+    return len(images), clipped(colors[0], 80) if colors else "FILE"
 
 
 def no_faces(name: str, points: bool) -> InputError:

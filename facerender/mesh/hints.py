@@ -260,7 +260,7 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
     highlight. The peak of a highlight is proportional to ks f0 / m^2."""
     skin = Material()
     threshold = 0.1 * skin.ks * skin.f0 / skin.m**2  # a highlight below it is invisible
-    pairs = [(mesh.parts[i], mesh.materials[i]) for i in mesh.skin]
+    pairs = [(mesh.parts[i], mat) for i in mesh.skin if not (mat := mesh.materials[i]).unlit]
     slopes = [(material, _least_slope(part, material, decode)) for part, material in pairs]
     dull = [i for i, (mat, m) in enumerate(slopes) if 0.0 < mat.ks * mat.f0 < threshold * m**2]
     if not dull:

@@ -127,7 +127,7 @@ def parts_of(program: Program) -> dict[str, int]:
     read |= {"ROUGHNESS_MAP", "SPECULAR_MAP"} if shines else set()
     return {
         "base program": 1,
-        "albedo map": int(diffuse and "ALBEDO_MAP" in has),
+        "albedo map": int((diffuse or "UNLIT" in has) and "ALBEDO_MAP" in has),
         "normal map": int("NORMAL_MAP" in has),
         "property map": bool(has & read) + (shines and "LOBE_MAP" in has),
         "ambient term": int(ambient),
@@ -289,7 +289,7 @@ class Prices:
         total = specular = faces = 0.0
         for part, (smallest, _) in zip(look.parts, look.slopes, strict=True):
             material, count = part.material, len(part.part.faces)
-            lights = look.lighting.shining * bool(material.ks)
+            lights = look.lighting.shining * bool(material.ks and not material.unlit)
             program = shade_draw(look, part, None, smallest).program
             counts = parts_of(replace(program, call=INPUTS * bool(lights)))
             if material.scattering and material.diffuse_weight > 0.0:

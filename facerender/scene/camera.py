@@ -115,7 +115,7 @@ Row = tuple[float, float, float, float]
 Size = int | tuple[int, int]
 
 FRAMES: tuple[RegionName, ...] = get_args(RegionName)
-AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": 90.0}
+AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": -90.0}
 # Texts that Camera.parse accepts, for messages and help.
 ORBITS = f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
 CAMERA_FILES = (".toml", ".json", ".npz")
@@ -179,7 +179,7 @@ class Camera:
         0.0,
         "direction from the target to the camera: at azimuth 0 and elevation 0 the camera sees the "
         'face, at azimuth 90 the side at +x. Also a name: "front", "three-quarter" (-35) or '
-        '"profile" (90)',
+        '"profile" (-90)',
     )
     elevation: float = field(
         ELEVATIONS, 0.0, "direction from the target to the camera; at 90 it looks down"

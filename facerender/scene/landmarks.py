@@ -205,9 +205,9 @@ def located(
     """Return pixels and depth, as :meth:`View.project`, of points on the surface of a scene, and
     whether the points are visible: in the image, and not hidden.
 
-    A point is hidden if the surfaces at the four pixel centres around it are all nearer than the
-    point, by more than a tolerance. At a silhouette, one of the centres shows the surface behind,
-    so that points within a pixel of a silhouette count as visible.
+    A point is hidden if its pixel shows no surface, or if the surfaces at the four pixel centres
+    around it are all nearer than the point, by more than a tolerance. At a silhouette, one of these
+    centres shows the surface behind.
 
     points : (N, 3), in mesh space
     image : (H, W, 4), image of the term depth
@@ -223,7 +223,10 @@ def located(
     with np.errstate(invalid="ignore"):  # at the border, slopes continue; inf - inf is NaN
         inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)
         surface = np.pad(surface, 1, mode="reflect", reflect_type="odd")
-    column, row = np.floor(np.where(inside[:, None], pixels, 0.0) + 0.5).astype(np.int64).T
+    positions = np.where(inside[:, None], pixels, 0.0)
+    column, row = positions.astype(np.int64).T
+    covered = image[row, column, 3] > 0.0
+    column, row = np.floor(positions + 0.5).astype(np.int64).T
     around = [surface[row + i, column + j] for i in (0, 1) for j in (0, 1)]
-    visible = inside & (np.nanmax(around, axis=0) >= depth - slack)
+    visible = inside & covered & (np.nanmax(around, axis=0) >= depth - slack)
     return pixels, depth, visible

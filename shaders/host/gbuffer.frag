@@ -84,7 +84,7 @@ void main() {
 #ifdef EMITTED_IMAGE
     emitted = vec4(0.0);
 #ifdef EMISSIVE
-    emitted.rgb = emission(p);
+    emitted.rgb = emission(p, s);
 #endif
 #ifdef REFRACTIONS
     emitted.rgb += refracted(s, f0);

@@ -177,7 +177,7 @@ vec3 shaded(Point p) {
     result += s.specular_weight * specular;
 #endif
 #ifdef EMISSIVE
-    result += emission(p);
+    result += emission(p, s);
 #endif
 #ifdef REFRACTIONS
     result += refracted(s, f0);

@@ -163,6 +163,45 @@ def shadows(size: int = 440) -> None:
     save("shadows", [images], 88)
 
 
+def photographs(size: int = 440) -> None:
+    """Draw the head with a map of photographs under hard light: under the default lights, under
+    soft light with a weak highlight, and unlit."""
+    mesh = fr.load_mesh().with_skin(normal_map=None)
+    mesh = mesh.with_skin(albedo_map=_photographed(mesh))
+    camera, light = fr.Camera(-20.0, zoom=1.5), fr.Light(0.0, 20.0, 1.2, radius=20.0)
+    scenes = (
+        fr.Scene(mesh, camera),
+        fr.Scene(mesh.with_skin(ks=0.3), camera, (light,), ambient=1.6),
+        fr.Scene(mesh.with_material(unlit=True), camera),
+    )
+    with fr.Renderer((size, size)) as renderer:
+        save("photographs", [[renderer.render(scene).srgb8() for scene in scenes]], 88)
+
+
+def _photographed(mesh: fr.Mesh, side: int = 1024) -> Texture:
+    """Return the skin's albedo map as photographs from the front and from the sides show it, with
+    their light and highlights."""
+    sharp = mesh.with_skin(m=0.2, ks=2.0)
+    lights = (fr.Light(45.0, 25.0, 5.0, radius=3.0), fr.Light(-70.0, 20.0, 1.0))
+    albedo = mesh.materials[mesh.skin[0]].albedo_map
+    assert albedo is not None
+    plain = np.asarray(albedo.rgb().resize((side, side)), np.float64)
+    sums, weights = 0.05 * plain, np.full((side, side, 1), 0.05)
+    with fr.Renderer((2 * side, 2 * side), samples=1) as renderer:
+        for azimuth in (0.0, -50.0, 50.0):
+            scene = fr.Scene(sharp, fr.Camera(azimuth, frame="head"), lights, ambient=0.5)
+            photograph, gbuffer = renderer.render(scene), renderer.gbuffer(scene)
+            of_skin = np.isin(gbuffer.part, mesh.skin)
+            rays = gbuffer.view.position - gbuffer.normalised_position[of_skin]
+            facing = (rays * gbuffer.normal[of_skin]).sum(axis=1) / np.linalg.norm(rays, axis=1)
+            column, row = (gbuffer.uv[of_skin] * side).astype(int).clip(0, side - 1).T
+            weight = facing.clip(0.0)[:, None] ** 8
+            texel = side - 1 - row, column
+            np.add.at(sums, texel, weight * photograph.srgb8()[of_skin][:, :3])
+            np.add.at(weights, texel, weight)
+    return Texture.from_array(np.round(sums / weights).astype(np.uint8))
+
+
 def occlusion(size: int = 440) -> None:
     """Draw the scan without and with baked occlusion, in ambient light and under the default
     lights."""
@@ -226,6 +265,7 @@ PICTURES: dict[str, Callable[[], None]] = {
     **{"gallery": gallery, "readme": readme},
     **{"exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
     **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
+    **{"photographs": photographs},
     **{"occlusion": occlusion, "heads": heads},
 }
 
