@@ -606,7 +606,7 @@ BAD_FILES = [
     ("rows.jsonl", json.dumps({"a" + ".a" * 1000: 1}), "has too many dots"),
     ("rows.jsonl", b"{}\n\xff\n", "rows.jsonl, line 2 is not UTF-8 .*save the file as UTF-8"),
     ("rows.jsonl", " " * 2**21, "line 1 has more than 1048576 bytes"),
-    ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, outputs, exposure, scene"),
+    ("rows.jsonl", '{"colour": 1}', "unknown key 'colour'; known: id, outputs, exposure, tone"),
     ("rows.jsonl", '{"mesh": ""}', "mesh path = '' is not a path"),
     ("rows.jsonl", '{"mesh": "\\ud800"}', "mesh path = '.ud800' is not a path"),
     ("rows.jsonl", '{"mesh": "a", "mesh.path": "b"}', "mesh.path is given twice"),

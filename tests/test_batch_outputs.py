@@ -70,12 +70,12 @@ def layers_of(content):
 @pytest.mark.parametrize("background", [None, (0.2, 0.1, 0.0)])
 def test_images_equal_those_that_frames_save(small, drawing, background, tmp_path):
     job = job_of(background=background)
-    files = draw(job, small, drawing, OUTPUTS, 0.5).files
+    files = draw(job, small, drawing, OUTPUTS, -0.5, "linear").files
     assert [*files] == [f"{name}.png" for name in OUTPUTS[:-1]] + ["layers.exr"]
     numbers = ("depth", "mask", "parts")  # a frame saves these as images, a job as data
     for only in (None, *OUTPUTS[1:-1]):
         name = f"{only or 'image'}.png"
-        drawing.render(job.scene(small), job.shading, only).save(tmp_path / name, 0.5)
+        drawing.render(job.scene(small), job.shading, only).save(tmp_path / name, -0.5)
         assert (files[name] == (tmp_path / name).read_bytes()) == (only not in numbers), name
 
 
@@ -96,7 +96,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
     material = {"m": 0.25, "albedo": (0.5, 0.3, 0.2), "double_sided": True}
     job = job_of(camera=camera, material=material)
     outputs = "image", "specular", "normal"
-    drawn = draw(replace(job, planned=planned), small, drawing, outputs, 0.0)
+    drawn = draw(replace(job, planned=planned), small, drawing, outputs, 0.0, "linear")
     assert drawn.details["planned"] is True
     detail = planned.detail
     for only in (None, "specular", "normal"):
@@ -105,7 +105,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
             tmp_path / name
         )
         assert drawn.files[name] == (tmp_path / name).read_bytes()
-    whole = draw(job, small, drawing, ("image",), 0.0)
+    whole = draw(job, small, drawing, ("image",), 0.0, "linear")
     assert "planned" not in whole.details
     assert drawn.files["image.png"] != whole.files["image.png"]
 
@@ -113,7 +113,7 @@ def test_a_planned_job_is_drawn_as_planned(small, drawing, how, tmp_path, four_s
 @pytest.mark.parametrize("camera", [fr.Camera(), fr.Camera(zoom=8.0), fr.Camera(fov=120.0)])
 def test_depth_error_is_at_most_half_a_step(head, drawing, camera):
     mesh = moved(head).with_material(double_sided=True)  # one camera is inside the head
-    drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0)
+    drawn = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0, "linear")
     (content,), scale = drawn.files.values(), drawn.details["depth_scale"]
     steps = unchanged(content)
     assert steps.dtype == np.uint16
@@ -140,14 +140,16 @@ def test_depths_behind_the_bounding_sphere_are_not_0(drawing):
 
 def test_cameras_of_one_distance_share_their_scale(head, drawing):
     jobs = [job_of(camera=camera) for camera in fr.turntable(count=5)]
-    scales = [draw(job, head, drawing, ("depth",), 0.0).details["depth_scale"] for job in jobs]
+    scales = [
+        draw(job, head, drawing, ("depth",), 0.0, "linear").details["depth_scale"] for job in jobs
+    ]
     assert scales == pytest.approx([scales[0]] * 5, rel=1e-12)
 
 
 def test_a_camera_that_sees_nothing(head, drawing):
     away = fr.Camera(position=tuple(head.center + [0, 0, 3]), target=tuple(head.center + [0, 0, 9]))
     with pytest.warns(fr.FacerenderWarning, match="no pixel shows head.glb: .* behind the camera"):
-        drawn = draw(job_of(camera=away), head, drawing, OUTPUTS, 0.0)
+        drawn = draw(job_of(camera=away), head, drawing, OUTPUTS, 0.0, "linear")
     for name in ("depth", "mask", "parts", "normal"):
         assert not unchanged(drawn.files[f"{name}.png"]).any()
     assert drawn.details["depth_scale"] > 0.0
@@ -155,7 +157,7 @@ def test_a_camera_that_sees_nothing(head, drawing):
 
 
 def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
-    drawn = draw(job_of(), halves, drawing, ("mask", "parts", "depth"), 0.0)
+    drawn = draw(job_of(), halves, drawing, ("mask", "parts", "depth"), 0.0, "linear")
     part = drawing.gbuffer(job_of().scene(halves)).part
     mask, parts, depth = (unchanged(drawn.files[f"{n}.png"]) for n in ("mask", "parts", "depth"))
     assert (mask.dtype, parts.dtype) == (np.uint8, np.uint16)
@@ -169,7 +171,7 @@ def test_mask_and_parts_show_the_pixel_centre(halves, drawing):
 
 def test_layers_hold_every_pass(halves, drawing, tmp_path):
     job = job_of(background=None)
-    content = draw(job, halves, drawing, ("layers",), 3.0).files["layers.exr"]
+    content = draw(job, halves, drawing, ("layers",), 3.0, "linear").files["layers.exr"]
     layers = layers_of(content)
     assert {values.dtype for values in layers.values()} == {np.dtype(np.float32)}
     scene = job.scene(halves)
@@ -199,13 +201,13 @@ def test_layers_hold_every_pass(halves, drawing, tmp_path):
 def test_outputs_that_cannot_be_drawn_are_refused(head, drawing, monkeypatch):
     many = with_geometry(head, parts=head.parts * 65536, materials=head.materials * 65536)
     with pytest.raises(fr.InputError, match=r"65536 parts, but parts.png holds at most 65535: use"):
-        draw(job_of(), many, drawing, ("parts",), 0.0)
+        draw(job_of(), many, drawing, ("parts",), 0.0, "linear")
     monkeypatch.setitem(sys.modules, "OpenEXR", None)
     with pytest.raises(
         fr.InputError, match=r"^layers.exr: EXR files need the package OpenEXR; pip"
     ):
-        draw(job_of(), head, drawing, ("image", "layers"), 0.0)
-    assert draw(job_of(), head, drawing, ("image",), 0.0).files
+        draw(job_of(), head, drawing, ("image", "layers"), 0.0, "linear")
+    assert draw(job_of(), head, drawing, ("image",), 0.0, "linear").files
 
 
 # --- the camera ----------------------------------------------------------------------------------
@@ -276,7 +278,7 @@ def test_camera_projects_points_to_their_pixels(head, drawing, name, place):
 
 
 def test_a_frame_of_transforms_json(head, drawing):
-    camera = draw(job_of(), head, drawing, ("mask",), 0.0).details["camera"]
+    camera = draw(job_of(), head, drawing, ("mask",), 0.0, "linear").details["camera"]
     frame = transforms_frame(camera, "data/0/image.png")
     assert frame == json.loads(json.dumps(frame))
     keys = ["file_path", "w", "h", "fl_x", "fl_y", "cx", "cy", "transform_matrix"]
@@ -294,11 +296,13 @@ def test_a_frame_of_transforms_json(head, drawing):
 
 def test_the_frame_before_changes_only_motion(head, drawing):
     job = job_of(before=fr.Pose({"jawOpen": 0.4}))
-    files = draw(job, head, drawing, ("image", "motion", "mask", "normal"), 0.0).files
+    files = draw(job, head, drawing, ("image", "motion", "mask", "normal"), 0.0, "linear").files
     assert b"before" in files.pop("motion.png")[:2000]
     for name, content in files.items():
-        assert content == draw(job, head, drawing, (Path(name).stem,), 0.0).files[name], name
-    layers = draw(job, head, drawing, ("layers", "image"), 0.0).files
+        assert content == draw(job, head, drawing, (Path(name).stem,), 0.0, "linear").files[name], (
+            name
+        )
+    layers = draw(job, head, drawing, ("layers", "image"), 0.0, "linear").files
     assert b"before" in layers["layers.exr"][:4000]
     assert layers["image.png"] == files["image.png"]
 
@@ -319,7 +323,7 @@ def test_code_of_the_page_reads_the_outputs(head, egl, tmp_path, monkeypatch, le
     image = fr.ImageSettings(size=(512, 384))
     job = fr.Job(camera=camera, image=image, before=fr.Pose({"jawOpen": 0.4}))
     with fr.Renderer.of(job, egl) as renderer:
-        drawn = draw(job, head, renderer, ALL, 0.0)
+        drawn = draw(job, head, renderer, ALL, 0.0, "linear")
         seen = renderer.gbuffer(job.scene(head))
         motion = renderer.render(job.scene(head, True), only="motion").linear
     folder = tmp_path / "views" / "data" / "front"

@@ -375,7 +375,7 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
     job = fr.Job(camera=fr.Camera(20.0), image=image, landmarks=str(path))
     assert fr.Job.from_dict(job.as_dict()) == job
     assert fr.Job.from_dict(json.loads(json.dumps(job.as_dict()))) == job
-    drawn = draw(job, skull, renderer, ("image",), 0.0)
+    drawn = draw(job, skull, renderer, ("image",), 0.0, "linear")
     assert [*drawn.files] == ["image.png"]
     found = drawn.details["landmarks"]
     pixels, depth, visible = renderer.landmarks(job.scene(skull), fr.load_landmarks(path))
@@ -387,11 +387,14 @@ def test_records_of_a_batch(skull, renderer, tmp_path):
     ]
     assert visible.tolist() == [True, False]
     json.dumps(drawn.details, allow_nan=False)
-    assert "landmarks" not in draw(fr.Job(image=image), skull, renderer, ("image",), 0.0).details
+    assert (
+        "landmarks"
+        not in draw(fr.Job(image=image), skull, renderer, ("image",), 0.0, "linear").details
+    )
     tip = skull.parts[0].positions[number]
     away = fr.Camera(position=(*tip[:2], tip[2] + 1.0), target=(*tip[:2], tip[2] + 2.0))
     with pytest.warns(fr.FacerenderWarning, match="no pixel shows"):
-        drawn = draw(replace(job, camera=away), skull, renderer, ("image", "mask"), 0.0)
+        drawn = draw(replace(job, camera=away), skull, renderer, ("image", "mask"), 0.0, "linear")
     nose = drawn.details["landmarks"][0]
     assert (nose["x"], nose["y"], nose["visible"]) == (None, None, False)
     json.dumps(drawn.details, allow_nan=False)
@@ -408,5 +411,7 @@ def test_landmarks_of_a_planned_job_count_all_vertices(skull, renderer, tmp_path
     image = fr.ImageSettings(size=renderer.size, samples=1)
     job = fr.Job(image=image, landmarks=str(path))
     planned = replace(job, planned=Planned((renderer.size,), 1, triangles=6000))
-    facts = [draw(each, skull, renderer, ("mask",), 0.0).details for each in (job, planned)]
+    facts = [
+        draw(each, skull, renderer, ("mask",), 0.0, "linear").details for each in (job, planned)
+    ]
     assert facts[0]["landmarks"] == facts[1]["landmarks"]

@@ -54,8 +54,8 @@ EXACT = {
         "head.png exists: give -o head.png to replace it, or another name"
     ),
     "batch jobs.csv --check": (
-        "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, scene, meta, "
-        "mesh, material, camera, lights, ambient, background, shading, planned, image, "
+        "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, tone, scene, "
+        "meta, mesh, material, camera, lights, ambient, background, shading, planned, image, "
         "environment, parts, pose, before, landmarks"
     ),
     "plan --budget 1/255 --target es300": "--target es300 has no shader: add --emit OUT.glsl",

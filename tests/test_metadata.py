@@ -135,10 +135,10 @@ def test_metadata_has_no_paths(renderer, tmp_path):
     assert not any(str(tmp_path) in text for text in metadata.values())
 
 
-@pytest.mark.parametrize(("only", "listed"), [(None, "0.5"), ("normal", None)])
+@pytest.mark.parametrize(("only", "listed"), [(None, "-0.5"), ("normal", None)])
 def test_8_bit_image_has_its_exposure(renderer, mesh, tmp_path, only, listed):
     frame = renderer.render(fr.Scene(mesh), only=only)
-    frame.save(tmp_path / "a.png", exposure=0.5)
+    frame.save(tmp_path / "a.png", exposure=-0.5)
     assert read_image(tmp_path / "a.png").metadata.get("exposure") == listed
     frame.save(tmp_path / "a.png")
     assert "exposure" not in read_image(tmp_path / "a.png").metadata

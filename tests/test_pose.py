@@ -544,7 +544,7 @@ def test_files_of_a_batch(skull, drawing, monkeypatch):
     scene = fr.Scene(now, CAMERAS[0], before=fr.Scene(before, CAMERAS[1]))
     monkeypatch.setattr(fr.Job, "scene", lambda self, *_: scene)
     job = fr.Job(image=fr.ImageSettings(size=SIZE, samples=1))
-    drawn = draw(job, now, drawing, ("motion", "mask", "layers"), 0.0)
+    drawn = draw(job, now, drawing, ("motion", "mask", "layers"), 0.0, "linear")
     exact = drawing.render(scene, only="motion").linear
     content = np.frombuffer(drawn.files["motion.png"], np.uint8)
     valid, y, x = np.moveaxis(cv2.imdecode(content, cv2.IMREAD_UNCHANGED), -1, 0)  # BGR
@@ -559,7 +559,7 @@ def test_files_of_a_batch(skull, drawing, monkeypatch):
             np.testing.assert_array_equal(file.channels()[name].pixels, exact[..., axis])
     monkeypatch.setattr(fr.Job, "scene", lambda self, *_: replace(scene, before=None))
     with pytest.raises(fr.InputError, match="motion of head.glb needs the frame before"):
-        draw(job, now, drawing, ("motion",), 0.0)
+        draw(job, now, drawing, ("motion",), 0.0, "linear")
 
 
 def test_motion_beyond_the_range_of_a_png_is_not_valid(drawing, monkeypatch):
@@ -570,7 +570,7 @@ def test_motion_beyond_the_range_of_a_png_is_not_valid(drawing, monkeypatch):
     scene = fr.Scene(moved, near, before=fr.Scene(plane, near))
     monkeypatch.setattr(fr.Job, "scene", lambda self, *_: scene)
     job = fr.Job(image=fr.ImageSettings(size=SIZE, samples=1))
-    content = draw(job, moved, drawing, ("motion",), 0.0).files["motion.png"]
+    content = draw(job, moved, drawing, ("motion",), 0.0, "linear").files["motion.png"]
     pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
     valid, y, x = np.moveaxis(pixels, -1, 0)
     assert (x == 65535).all()

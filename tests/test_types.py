@@ -48,6 +48,7 @@ RIGHT: dict[str, list[Any]] = {
     **{f"load_mesh {name}": [None, [], {}, ["x"]] for name in ("parts", "hide")},
     **{f"MeshFile {name}": [None, MATRIX] for name in MESH_PATHS},
     **{f"{name} only": [None, [], {}] for name in ("render", "Renderer.render")},
+    **{f"{name} background": [None, 1.5, MATRIX] for name in ("Scene", "Job", "render")},
     "MeshFile triangles": [HUGE],  # keeps all triangles
     "simplified triangles": [HUGE],
     "Pose weights": [{"x": 1}],
@@ -63,6 +64,7 @@ UNCHECKED = (
     *("Texture size", "Texture name", "Texture profile", "Texture decode", "plan progress"),
     *("Texture.from_image name", "Texture.from_array name", "Mesh.from_arrays name", "Mesh pose"),
     *("Frame only", "Frame transparent", "Frame metadata", "Renderer.gbuffer blended"),
+    *("Frame background", "Frame warned"),
     *("Scene before", "load_mesh cache", "with_occlusion cache", "plan renderer", "plan sizes"),
 )
 METHODS = [

@@ -29,9 +29,11 @@ from facerender.batch.tables import (
     with_default_lights,
 )
 from facerender.errors import InputError, check_known, clipped, quoted, warn
+from facerender.images.image import TONES, Tone
 from facerender.loading import MESH_PATHS
 from facerender.loading.source import named_files, source_of
 from facerender.mesh.face import RELIEFS
+from facerender.scene.background import is_image
 from facerender.scene.environment import STUDIO
 from facerender.scene.job import ImageSettings, Job
 from facerender.scene.scene import ONLY
@@ -45,7 +47,7 @@ if TYPE_CHECKING:
 OUTPUTS: tuple[str, ...] = ("image", *ONLY, "layers")
 # Keys of a row: the keys of a job, and further keys.
 TABLES = tuple(key for key in limits_of(Job) if key not in ("cameras", "outputs"))
-ROW_KEYS = ("id", "outputs", "exposure", "scene", "meta")
+ROW_KEYS = ("id", "outputs", "exposure", "tone", "scene", "meta")
 # Keys of a table whose values are paths of files, keyed by the table.
 FILES = {"mesh": MESH_PATHS, "environment": ("file",)}
 FILES |= {"pose": ("vertices",), "before": ("vertices",)}
@@ -66,6 +68,7 @@ class Row:
     tables: Table
     outputs: tuple[str, ...] = ("image",)  # Names from OUTPUTS.
     exposure: float = 0.0  # Exposure of the 8-bit images, in stops.
+    tone: Tone = "linear"  # Tone mapping of the 8-bit images.
     meta: Table = field(default_factory=dict)  # Values that the job's record repeats.
 
 
@@ -190,6 +193,7 @@ def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
     tables: Table = {key: listed(value, key, NAMED) for key, value in values.items()}
     template = tables.pop("id", "{number:08d}")
     outputs, exposure = tables.pop("outputs", "image"), tables.pop("exposure", 0.0)
+    check_known("tone", tone := tables.pop("tone", "linear"), TONES)
     for key in tables:
         check_known("key", key, (*ROW_KEYS, *TABLES))
     if type(image := tables.get("image")) is dict and type(image.get("size")) in (str, int):
@@ -199,7 +203,9 @@ def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     exposure = EXPOSURES.check("exposure", exposure)
-    row = Row(number, _id(template, number, tables), tables, _outputs(outputs), exposure, meta)
+    row = Row(
+        number, _id(template, number, tables), tables, _outputs(outputs), exposure, tone, meta
+    )
     job = Job.from_dict(tables)
     job.shading.check_lights(len(job.lights))
     return row, job
@@ -212,8 +218,9 @@ def with_paths(tables: Table, replace: Callable[[str, Any], Any]) -> Table:
         if type(table := tables.get(key)) is dict:
             paths = {name: replace(f"{key} {name}", table[name]) for name in names if name in table}
             tables[key] = table | paths
-    if "landmarks" in tables:
-        tables["landmarks"] = replace("landmarks", tables["landmarks"])
+    for key in ("landmarks", "background"):
+        if key in tables and (key == "landmarks" or is_image(tables[key])):
+            tables[key] = replace(key, tables[key])
     return tables
 
 
@@ -403,7 +410,7 @@ def key_of(row: Row) -> str:
     """Return a digest of everything that a job's files and record depend on."""
     mesh = _mesh_with_contents(json.dumps(row.tables.get("mesh", {})))
     tables = with_paths({**row.tables, "mesh": mesh}, lambda _, path: _content(path))
-    inputs = [row.id, tables, row.outputs, row.exposure]
+    inputs = [row.id, tables, row.outputs, row.exposure, row.tone]
     inputs += [row.meta] if row.meta else []
     return digest_of(code_version(), json.dumps(inputs, sort_keys=True))[:24]
 

@@ -18,6 +18,7 @@ from facerender.batch.jobs import OUTPUTS, Row, file_name
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, clipped
 from facerender.images.files import exr_bytes, openexr, png_bytes
+from facerender.images.image import Tone
 from facerender.loading import MeshFile, load_mesh
 from facerender.material import MAPS
 from facerender.mesh.mesh import Mesh
@@ -167,6 +168,7 @@ class Drawn:
     outputs: list[str]  # Names from OUTPUTS.
     frames: Mapping[str, Frame]  # Keyed by the name of the output, without "layers".
     exposure: float  # Of image.png, specular.png and diffuse.png, in stops.
+    tone: Tone  # Of the same images.
     # Items of the job's record: driver, mesh and camera, and for some jobs depth_scale, parts,
     # planned and landmarks; docs/batch.md describes them.
     details: dict[str, Any]
@@ -185,19 +187,19 @@ class Drawn:
                 files[file] = exr_bytes(file, _layers(self.frames), metadata)
             else:
                 scale = self.details.get("depth_scale", 1.0)
-                files[file] = _png(self.frames[name], name, self.exposure, scale)
+                files[file] = _png(self.frames[name], name, self.exposure, self.tone, scale)
         return files
 
 
 def draw(
-    job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float
+    job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float, tone: Tone
 ) -> Drawn:
     """Draw the outputs of a job, which docs/batch.md describes. On the same OpenGL driver, the same
     job gives the same bytes.
 
     mesh, renderer : ``job.mesh.load()``, and a renderer with the job's image settings
     outputs : names from OUTPUTS
-    exposure : exposure of image.png, specular.png and diffuse.png, in stops
+    exposure, tone : of image.png, specular.png and diffuse.png
     """
     if "layers" in outputs:
         openexr("layers.exr")
@@ -225,6 +227,8 @@ def draw(
     names = [name for name in OUTPUTS if name in needed and name != "layers"]
     options = replace(detail, samples=min(detail.samples, renderer.samples)).values
     frames = renderer.render_outputs(scene, names, job.shading, **options)
+    for name in {*frames} & {*outputs}:  # in this thread, which records the warnings of the job
+        frames[name].warn_of_clipping(exposure, tone)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
         record["landmarks"] = landmark_record(job.landmarks, view, full_scene.mesh, frames["depth"])
@@ -235,10 +239,10 @@ def draw(
         record["depth_scale"] = farthest * scene.mesh.radius / _MAX or 1.0  # 1 if all is behind.
     if {"parts", "layers"} & set(outputs):
         record["parts"] = [part.name for part in mesh.parts]
-    return Drawn([name for name in OUTPUTS if name in outputs], frames, exposure, record)
+    return Drawn([name for name in OUTPUTS if name in outputs], frames, exposure, tone, record)
 
 
-def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:
+def _png(frame: Frame, name: str, exposure: float, tone: Tone, depth_scale: float) -> bytes:
     """Return the content of a PNG file."""
     pixels: NDArray[Any]
     if name == "parts":
@@ -253,7 +257,7 @@ def _png(frame: Frame, name: str, exposure: float, depth_scale: float) -> bytes:
     elif name == "mask":
         pixels, values = np.uint8(255) * (frame.linear[..., 0] > 0.0), "0 at 0, 255 at 1"
     else:
-        return frame.encoded("png", exposure)
+        return frame.encoded("png", exposure, tone)
     return png_bytes(pixels, {**frame.metadata, "range": values})
 
 

@@ -93,7 +93,7 @@ def _draw(order: Order) -> Iterator[Message]:
                 yield Message("draws", position)
                 with noting() as warned:
                     renderer = _renderer(job.image, settings.backend)
-                    result = draw(job, mesh, renderer, row.outputs, row.exposure)
+                    result = draw(job, mesh, renderer, row.outputs, row.exposure, row.tone)
                 description = {**inputs_of(row), **result.details}
                 if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
                     description["warnings"] = texts

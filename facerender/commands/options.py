@@ -70,8 +70,8 @@ FIELDS: dict[str, tuple[Any, str]] = {
     ),
     "pose": (Pose, "clip=NAME time=SECONDS vertices=FILE[,FRAME] track"),
     "camera": (Camera, "frame fov=DEGREES target=X,Y,Z"),
-    "scene": (Scene, "background=R,G,B ambient=E"),
-    "outputs": (Output, "exposure=STOPS only"),
+    "scene": (Scene, "background=R,G,B|FILE ambient=E"),
+    "outputs": (Output, "exposure=STOPS tone only"),
 }
 _BY_NAME = {
     word.partition("=")[0]: (record, word.partition("=")[2])

@@ -43,6 +43,7 @@ from facerender.images.files import (
     check_opaque,
     format_of,
 )
+from facerender.images.image import Tone
 from facerender.scene.camera import Camera
 from facerender.scene.detail import LevelOfDetail
 from facerender.scene.job import ImageSettings, Output
@@ -53,7 +54,6 @@ from facerender.scene.view import view_of
 from facerender.system.process import MIB, limit
 from facerender.terms import LOBES
 from facerender.values.fields import EXPOSURES, MEMORY, Range
-from facerender.values.vectors import Vector
 
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations of several views
@@ -118,7 +118,7 @@ def write(
     count: int,
     fps: float,
     exposure: float,
-    background: Vector | None,
+    tone: Tone,
 ) -> Frame:
     """Write each of ``count`` images as soon as it is drawn, and return the last image."""
     last = deque[Frame](maxlen=1)
@@ -126,6 +126,8 @@ def write(
     def remembered() -> Iterator[Frame]:
         for frame in frames:
             last.append(frame)
+            if target.layout == "moving":
+                frame.warn_of_clipping(exposure, tone)
             yield frame
 
     # One image gains nothing from a thread.
@@ -133,15 +135,15 @@ def write(
     if target.layout == "moving":
         from facerender.images.animation import save_animation
 
-        save_animation(target.files[0], (frame.srgb8(exposure) for frame in images), fps)
+        save_animation(target.files[0], (frame.srgb8(exposure, tone) for frame in images), fps)
         return last[0]
     if target.layout == "sheet":
-        images = iter([sheet(images, count, background)])
+        images = iter([sheet(images, count)])
     for file, frame in zip(target.files, images, strict=True):
         if target.format is not None:
-            print_bytes(frame.encoded(target.format, exposure))
+            print_bytes(frame.encoded(target.format, exposure, tone))
         else:
-            frame.save(file, exposure)
+            frame.save(file, exposure, tone=tone)
     return last[0]
 
 
@@ -208,18 +210,20 @@ def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None
         )
 
 
-def sheet(frames: Iterable[Frame], count: int, background: Vector | None) -> Frame:
+def sheet(frames: Iterable[Frame], count: int) -> Frame:
     """Return one frame with ``count`` images in a grid; empty cells show the background. Each image
     is released after copying."""
     columns, rows = _grid(count)
     for index, frame in enumerate(frames):
         height, width = frame.linear.shape[:2]
         if index == 0:
-            # Data images have no background: 0 means that no surface is there.
-            color = background if background is not None and frame.only is None else (0.0,) * 3
-            size = rows * height, columns * width
-            linear = np.full((*size, 4), (*color, 0.0), dtype=np.float32)
+            # Without a background, as in data images, 0 means that no surface is there.
+            linear = np.zeros((rows * height, columns * width, 4), dtype=np.float32)
             grid = replace(frame, linear=linear)
+            if frame.background is not None:
+                back = np.broadcast_to(frame.background, (height, width, 3))
+                linear[..., :3] = np.tile(back, (rows, columns, 1))
+                grid = replace(grid, background=linear[..., :3].copy())
         top, left = index // columns * height, index % columns * width
         linear[top : top + height, left : left + width] = frame.linear
     return grid
@@ -247,6 +251,7 @@ def add(render: argparse.ArgumentParser) -> None:
         target={"dest": "looked_at"},
         size={"unset": f"{SIDE}, or the size in the camera file"},
         exposure={"default": Output.exposure},
+        tone={"default": Output.tone},
         format={"choices": IMAGE_FORMATS},
         fps={"limits": Range(*FRAME_RATES)},
         memory={"limits": MEMORY},
@@ -268,7 +273,7 @@ target triangles
 [planned frame]
 --budget ERROR | largest error of a cheaper frame to plan and render | none | {BUDGET}
 [image]
-size samples exposure only alpha_threshold
+size samples exposure tone only alpha_threshold
 --format | format of -o - | png
 --sheet | arrange all views in one image
 --fps N | images per second of an animation, or of a clip | {FPS:g}; {CLIP_FPS:g} of a clip
@@ -303,6 +308,8 @@ def _check(options: argparse.Namespace, output: str, playing: bool, cameras: int
     cameras."""
     if options.budget is not None and options.only is not None:
         raise InputError(f"--budget plans the whole image: leave --only {options.only} out")
+    if options.budget is not None and options.tone != "linear":
+        raise InputError(f"--budget limits errors of tone linear: leave --tone {options.tone} out")
     if options.within is not None and options.budget is None:
         raise InputError(f"--within {options.within} has no budget: add --budget ERROR")
     if options.json and output == STANDARD_OUTPUT:
@@ -382,7 +389,7 @@ def run(options: argparse.Namespace) -> int:
             renderer.render(detail.of(posed_scene), shading, options.only, **keywords)
             for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
         )
-        frame = write(target, frames, len(names), fps, options.exposure, scene.background)
+        frame = write(target, frames, len(names), fps, options.exposure, options.tone)
     if options.json:
         result = {
             "output": target.files[0] if len(target.files) == 1 else target.files,

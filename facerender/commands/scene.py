@@ -24,6 +24,7 @@ from facerender.loading.source import GLTF
 from facerender.material import parse_part
 from facerender.mesh.hints import no_shadows
 from facerender.mesh.mesh import Mesh
+from facerender.scene.background import is_image
 from facerender.scene.camera import (
     CAMERA_FILES,
     MAX_CAMERAS,
@@ -264,6 +265,8 @@ def _files(job: Job) -> Iterator[tuple[str, str]]:
     """Yield the input files of a job except its mesh file, each with a description for messages."""
     yield from ((path, "an image file") for path in job.mesh.files if path != job.mesh.path)
     yield from ((p.vertices, "a file of vertices") for p in (job.pose, job.before) if p.vertices)
+    if is_image(job.background):
+        yield str(job.background), "an image file"
     if job.environment is not None and job.environment.file != STUDIO:
         yield job.environment.file, wanted(job.environment.file)
 

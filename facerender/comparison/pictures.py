@@ -237,7 +237,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     return _Difference(**vars(frame), pair=(a, b), gain=gain if signed.any() else math.inf)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class _Difference(Frame):
     """A difference with its images, and with its gain; equal images have an infinite gain."""
 

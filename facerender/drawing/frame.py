@@ -3,6 +3,7 @@ scene and the shading as text. No OpenGL."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 import zlib
@@ -17,12 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.prepare import ResolvedScene, resolve
-from facerender.errors import InputError, clipped, quoted, warn
+from facerender.errors import InputError, check_known, clipped, note, quoted, warn
 from facerender.images.animation import arranged
 from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
-from facerender.images.image import encode_srgb8
+from facerender.images.image import TONES, ImageData, Tone, encode_srgb8, neutral
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh
+from facerender.scene.background import clear_color
 from facerender.scene.scene import DATA, Only, Scene
 from facerender.scene.shading import Shading
 from facerender.scene.view import View, hidden
@@ -30,7 +32,7 @@ from facerender.system.files import write_bytes
 from facerender.texture.mips import Kind
 from facerender.texture.texture import Texture
 from facerender.values.fields import EXPOSURES
-from facerender.values.vectors import unit
+from facerender.values.vectors import Vector, unit
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -93,7 +95,9 @@ def frame_metadata(
             texts[field.name] = _by_part(mesh, values)
     names = "camera", *(f"light {index}" for index in range(len(scene.lights)))
     texts |= zip(names, map(repr, (scene.camera, *scene.lights)), strict=True)
-    texts |= {name: str(getattr(scene, name)) for name in ("ambient", "background")}
+    back = scene.background
+    back = PurePath(back.name).name if isinstance(back, ImageData) else back
+    texts |= {"ambient": str(scene.ambient), "background": str(back)}
     if scene.environment is not None:
         name = PurePath(scene.environment.panorama.name).name
         rotation, scale = scene.environment.rotation, scene.environment.scale
@@ -148,6 +152,7 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
 
 
 IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
+_COVERED, _CLIPPED = 0.99, 0.01  # coverage of pixels that may clip; fraction without a warning
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,18 +184,23 @@ class Frame:
     metadata : all parameters of the image as text: facerender's version, GL_RENDERER, GL_VERSION,
         settings of the renderer, and the values of ``frame_metadata`` in
         ``facerender/drawing/frame.py``
+    background : colour or image (H, W, 3) behind the mesh, linear RGB, which exposure and tone
+        leave unchanged; None for none, or for radiance, such as the environment
+    warned : exposures at which images of this mesh were clipped, with a warning
     """
 
     linear: NDArray[np.float32]
     only: Only | None
     transparent: bool
     metadata: Mapping[str, str]
+    background: NDArray[np.float32] | Vector | None = None
+    warned: set[float] = dataclasses.field(default_factory=set)
 
     def __post_init__(self) -> None:
         if self.linear.ndim != 3:
             raise InputError(f"linear = {quoted(self.linear)}: give an array (H, W, 4)")
 
-    def srgb8(self, exposure: float = 0.0) -> NDArray[np.uint8]:
+    def srgb8(self, exposure: float = 0.0, tone: Tone = "linear") -> NDArray[np.uint8]:
         """Return an 8-bit image for display: (H, W, 3), or (H, W, 4) with straight alpha if
         ``transparent`` is true.
 
@@ -200,13 +210,17 @@ class Frame:
         to the right, and the brightness is the length relative to the longest in the image.
 
         exposure : exposure of radiance and albedo, in stops; default 0
+        tone : tone mapping of radiance: "linear" (default) clips it at 1, "neutral" compresses it,
+            see :func:`facerender.images.image.neutral`
         """
-        return self._display(exposure)[0]
+        return self._display(exposure, tone)[0]
 
-    def _display(self, exposure: float) -> tuple[NDArray[np.uint8], dict[str, str]]:
+    def _display(self, exposure: float, tone: Tone) -> tuple[NDArray[np.uint8], dict[str, str]]:
         """Return the result of :meth:`srgb8`, and further metadata: the linear values that the
-        bytes stand for, and an exposure that changes them."""
+        bytes stand for, and an exposure and a tone that change them."""
         EXPOSURES.check("exposure", exposure)
+        check_known("tone", tone, TONES)
+        tone = "linear" if self.only in DATA else tone
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         metadata = {}
         if self.only in _CONVERSIONS:
@@ -215,18 +229,60 @@ class Frame:
         else:
             if self.transparent:
                 color = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
-            pixels = encode_srgb8(color, exposure)
+            if exposure or tone != "linear":
+                color = self._exposed(color, coverage, 2.0**exposure, tone)
+                metadata["tone"] = tone if tone != "linear" else ""
+            pixels = encode_srgb8(color)
             metadata["exposure"] = str(float(exposure)) if exposure else ""
             metadata["range"] = "sRGB of 0 to 1" if self.only else ""
         if self.transparent:
             pixels = np.concatenate([pixels, _bytes(coverage)], axis=-1)
         return pixels, {name: text for name, text in metadata.items() if text}
 
+    def _exposed(
+        self, color: NDArray[np.float32], coverage: NDArray[np.float32], scale: float, tone: Tone
+    ) -> NDArray[np.float32]:
+        """Return linear colours for display: exposure and tone do not change the background."""
+        weight, behind = np.ones(1, dtype=np.float32), np.zeros(1, dtype=np.float32)
+        if self.background is not None:
+            behind = (1.0 - coverage) * np.asarray(self.background, dtype=np.float32)
+        with np.errstate(over="ignore"):
+            front = np.clip((color - behind) * np.float32(scale), 0.0, np.float32(1e30))
+        if tone == "neutral":
+            if self.background is not None:
+                # Straight colours; highlights on clear glass are brighter than its coverage.
+                least = np.maximum(coverage, np.float32(1e-6))
+                weight = np.clip(front.max(axis=-1, keepdims=True), least, 1.0)
+            front = neutral(front / weight) * weight
+        return np.asarray(front + behind)
+
+    def warn_of_clipping(self, exposure: float, tone: Tone) -> None:
+        """Emit the warning of :meth:`save`; repeated warnings are only noted."""
+        if self.only in DATA or tone != "linear":
+            return
+        limit, spared = np.float32(2.0**-exposure), 0
+        # A sample first: an exact count takes as long as the encoding, and few images clip.
+        for step in (math.isqrt(self.linear[..., 0].size) // 256 or 1, 1):
+            pixels = self.linear[::step, ::step]
+            values = pixels[(pixels[..., 3:] > _COVERED).all(axis=-1), :3].max(axis=-1)
+            spared = int(_CLIPPED * len(values))
+            count = np.count_nonzero(values > limit)
+            if count <= spared:
+                return
+        largest = float(np.partition(values, -1 - spared)[-1 - spared])
+        stops = math.floor(-10.0 * math.log2(largest)) / 10.0
+        (note if exposure in self.warned else warn)(
+            f"{100.0 * count / len(values):.1f} % of the covered pixels are brighter than white: "
+            f"give --exposure {stops:g}, or --tone neutral"
+        )
+        self.warned.add(exposure)
+
     def save(
         self,
         path: str | os.PathLike[str] | IO[bytes],
         exposure: float = 0.0,
         format: Format | None = None,
+        tone: Tone = "linear",
     ) -> None:
         """Write the image as .png, .jpg or .webp (8-bit sRGB), or as .exr (linear float32).
 
@@ -238,28 +294,35 @@ class Frame:
         exposure : exposure of the 8-bit formats, in stops; default 0
         format : "png", "exr", "jpeg" or "webp"; default: the format of the path's suffix, or PNG
             for an object
+        tone : tone mapping of the 8-bit formats, as in :meth:`srgb8`
 
         Raises
         ------
         InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
             is missing, or a JPEG would be transparent
+
+        Warns (FacerenderWarning), once for a mesh and an exposure, if more than 1 % of the covered
+        pixels are brighter than white in an 8-bit format.
         """
         if format is not None and format not in IMAGE_FORMATS:
             raise InputError(f"format = {quoted(format)}: give {', '.join(IMAGE_FORMATS)}")
         EXPOSURES.check("exposure", exposure)
         if not isinstance(path, str | os.PathLike):
-            path.write(self.encoded(format or "png", exposure))
+            path.write(self.encoded(format or "png", exposure, tone))
         elif (file_format := format or format_of(path)) == "exr":
             save_exr(path, self.linear, self.metadata)
         else:
-            write_bytes(path, self.encoded(file_format, exposure))
+            write_bytes(path, self.encoded(file_format, exposure, tone))
 
-    def encoded(self, format: Format = "png", exposure: float = 0.0) -> bytes:
+    def encoded(
+        self, format: Format = "png", exposure: float = 0.0, tone: Tone = "linear"
+    ) -> bytes:
         """Return the content of an image file. For parameters and errors see :meth:`save`."""
         if format == "exr":
             channels = {"RGBA"[: self.linear.shape[2]]: self.linear}
             return exr_bytes("image.exr", channels, self.metadata)
-        pixels, further = self._display(exposure)
+        pixels, further = self._display(exposure, tone)
+        self.warn_of_clipping(exposure, tone)
         metadata = {**self.metadata, **further}
         if format == "png":
             return png_bytes(pixels, metadata)
@@ -461,8 +524,8 @@ def data_image(
     if only in ("normal", "albedo"):
         image = planes[only]
         # The default background would tint the zeros that programs expect around the mesh.
-        if only == "albedo" and scene.background not in (None, Scene.background):
-            image[image[..., 3] == 0.0, :3] = scene.background
+        if only == "albedo" and scene.background != Scene.background:
+            image[image[..., 3] == 0.0, :3] = clear_color(scene.background)
         return image
     if only == "cosines":
         covered = planes["position"][..., 3] > 0.0

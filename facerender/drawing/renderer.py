@@ -36,9 +36,17 @@ from facerender.drawing.prepare import Appearance, ResolvedPart, ResolvedScene
 from facerender.drawing.program import Pass, Target
 from facerender.drawing.resources import Resources, free_dropped
 from facerender.errors import ContextError, check_known, clipped
+from facerender.images.image import ImageData
 from facerender.loading import MeshSource, load_mesh
 from facerender.mesh.hints import emit, emit_all, too_clear
 from facerender.mesh.mesh import Mesh, drawn_alpha
+from facerender.scene.background import (
+    ENVIRONMENT,
+    BackgroundSource,
+    check_environment,
+    clear_color,
+    covering,
+)
 from facerender.scene.camera import Camera
 from facerender.scene.environment import EnvironmentSource
 from facerender.scene.job import ImageSettings, Job
@@ -243,12 +251,21 @@ class Renderer:
         images, shaded = self._images(scene, shading, names, samples, shading_rate)
         if "motion" in names:
             images["motion"] = self._motion(scene, shading.replace(shadow_lights=()))
+        behind = self._behind(scene) if "image" in images else None
+        if behind is not None:
+            linear = images["image"]
+            linear[..., :3] += (1.0 - linear[..., 3:]) * behind
         check_images(images, scene, self.alpha_threshold)
         if shaded:
             emit_all(shaded.scene.mesh)
         still = replace(scene, before=None) if scene.before else scene
         rate = {"shading_rate": shading_rate} if shading_rate == "pixel" else {}
-        frames = {}
+        backs: dict[str, Any] = {}  # backgrounds that exposure and tone do not change
+        if scene.background != ENVIRONMENT:
+            backs["image"] = scene.background if behind is None else behind
+        if scene.background != Scene.background:  # the albedo has other colours only
+            backs["albedo"] = clear_color(scene.background)
+        frames, warned = {}, scene.mesh.geometry.derived.setdefault("clipped", set())
         for name in names:
             only: Any = None if name == "image" else name
             settings = {"samples": str(samples)} | rate | ({"only": name} if only else {})
@@ -257,9 +274,24 @@ class Renderer:
                 settings = {"samples": "1", "only": name, "alpha_threshold": threshold}
             arguments = scene if name == "motion" else still, shading, only, self.albedo_kind
             make = partial(frame_metadata, *arguments, shaded, self.metadata | settings)
-            metadata = LazyMetadata(make)
-            frames[name] = Frame(images[name], only, scene.background is None, metadata)
+            look = scene.background is None, LazyMetadata(make), backs.get(name), warned
+            frames[name] = Frame(images[name], only, *look)
         return frames
+
+    def _behind(self, scene: Scene) -> NDArray[np.float32] | None:
+        """Return the image (H, W, 3) behind the mesh; None for a colour or a transparent image."""
+        if isinstance(scene.background, ImageData):
+            return covering(scene.background, self.size)
+        check_environment(scene)
+        if scene.environment is None or scene.background != ENVIRONMENT:
+            return None
+        from facerender.drawing.motion import pixel_centres
+
+        lens, renderer, flat = self._undistorted(scene)
+        positions = lens.positions if lens else pixel_centres(self.size)
+        view = view_of(flat, renderer.size[0] / renderer.size[1])
+        directions = view.directions(2.0 * positions / renderer.size - 1.0)
+        return scene.environment.seen(directions.reshape(*self.size[::-1], 3))
 
     def _images(
         self,
@@ -404,7 +436,7 @@ class Renderer:
         """
         ImageSettings(samples=samples)  # checks the number
         look = prepare.resolve(scene, shading, self.albedo_kind).appearance
-        background = scene.background or (0.0, 0.0, 0.0)
+        background = clear_color(scene.background)
         return samples > 1 and self._defers(look.unblended, look, background, "pixel", samples)
 
     def gbuffer(self, scene: Scene, shading: Shading = Shading(), blended: bool = True) -> GBuffer:
@@ -526,7 +558,7 @@ class Renderer:
     ) -> Structure:
         """Return what the passes of a frame depend on, for :func:`image_passes` and others."""
         scene, look, mesh = resolved.scene, resolved.appearance, resolved.scene.mesh
-        background = scene.background or (0.0, 0.0, 0.0)
+        background = clear_color(scene.background)
         scattering = None
         if scatters and look.scatters:
             from facerender.scene.scattering import scattering_of
@@ -639,7 +671,7 @@ def render(
     camera: Camera | str = Camera(),
     lights: Sequence[Light | str] | None = None,
     ambient: float | Vector | None = None,
-    background: Vector | str | None = Scene.background,
+    background: BackgroundSource = Scene.background,
     environment: EnvironmentSource | None = None,
     only: Only | None = None,
 ) -> Frame:

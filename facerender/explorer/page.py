@@ -24,6 +24,7 @@ from facerender.glsl.library import call, shader_dir, shader_source, term_source
 from facerender.material import MAPS, Material, part_text
 from facerender.mesh.mesh import Mesh, drawn_alpha, slope_range
 from facerender.page import document
+from facerender.scene.background import clear_color
 from facerender.scene.camera import AZIMUTHS_BY_NAME, Camera
 from facerender.scene.job import Job
 from facerender.scene.light import LIGHT_KINDS, Light
@@ -249,7 +250,7 @@ def explorer_page(
         "cameras": AZIMUTHS_BY_NAME,
         "most_lights": MAX_LIGHTS,
         "note": note,
-        "background": job.background or (0.0, 0.0, 0.0),
+        "background": clear_color(job.background),
         "registry": _registry(),
         "ranges": _ranges(),
     }
@@ -287,6 +288,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
         f"the environment map{replaced}": job.environment is not None,
+        "the background image": not isinstance(job.background, tuple | None),
         "second lobes": shading.two_lobes and any(material.two_lobes for material in materials),
         "subsurface scattering": shading.scatter_samples > 0
         and any(material.scattering for material in materials),

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,27 +46,43 @@ def _levels() -> NDArray[np.uint32]:
     return ((level + 1 << _BITS) - until).astype(np.uint32)
 
 
-def encode_srgb8(linear: NDArray[np.float32], exposure: float = 0.0) -> NDArray[np.uint8]:
+def encode_srgb8(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Encode linear radiance as 8-bit sRGB: the nearest of the 256 levels. Radiance 1 is white, and
     NaN is black.
 
     The table takes a fifth of the time of the power function.
 
     linear : linear radiance (N, ...)
-    exposure : exposure in stops, in EXPOSURES; the radiance is multiplied by 2**exposure
     """
-    encoded, scale = np.empty(linear.shape, dtype=np.uint8), np.float32(2.0**exposure)
+    encoded = np.empty(linear.shape, dtype=np.uint8)
     step = max(_BLOCK * len(linear) // max(linear.size, 1), 1)
     for start in range(0, len(linear), step):
         rows = slice(start, start + step)
-        with np.errstate(over="ignore"):
-            scaled = linear[rows] if exposure == 0.0 else linear[rows] * scale
-        values = np.fmax(scaled, _LEAST, dtype=np.float32)
+        values = np.fmax(linear[rows], _LEAST, dtype=np.float32)
         bits = np.minimum(values, np.float32(1.0), out=values).view(np.uint32)
         total = _levels().take((bits >> _BITS) - np.uint32(_FIRST))
         total += bits & ((1 << _BITS) - 1)
         encoded[rows] = total >> _BITS
     return encoded
+
+
+Tone = Literal["linear", "neutral"]
+TONES: tuple[Tone, ...] = get_args(Tone)
+
+
+def neutral(color: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return radiance (..., 3), at least 0, mapped to colours in [0, 1]: values up to 0.8 lose the
+    0.04 that a dielectric reflects, and brighter values are compressed and desaturated.
+
+    Source: Khronos Group (2024), "Khronos PBR Neutral Tone Mapper", PBR Neutral Specification.
+    """
+    least = color.min(axis=-1, keepdims=True)
+    color = color - np.where(least < 0.08, least - 6.25 * least * least, np.float32(0.04))
+    peak = color.max(axis=-1, keepdims=True)
+    compressed = np.minimum(peak, 1.0 - 0.24**2 / np.maximum(peak - 0.52, 0.24))
+    saturation = 1.0 / (0.15 * (peak - compressed) + 1.0)
+    color *= compressed / np.maximum(peak, 1e-30)
+    return np.asarray(compressed + saturation * (color - compressed))
 
 
 Encoding = Literal["linear", "srgb8"]

@@ -27,6 +27,7 @@ from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.planning.decisions import Decision, decisions, details
 from facerender.planning.search import Choice, Cost, ReferencePixels, Witnesses
 from facerender.pricing.table import FRAME, TABLE
+from facerender.scene.background import clear_color
 from facerender.scene.camera import Camera, orbiting
 from facerender.scene.detail import LevelOfDetail, Planned
 from facerender.scene.job import scene_toml
@@ -37,6 +38,7 @@ from facerender.system.files import digest_of
 from facerender.system.process import Progress, no_progress
 from facerender.texture.texture import Texture
 from facerender.values.fields import Several
+from facerender.values.vectors import MAX_RADIANCE
 
 # Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
 # the colour of errors beyond the budget.
@@ -342,8 +344,12 @@ def _planned(
     progress: Progress,
 ) -> Plan:
     sizes = [renderer.size for renderer in renderers]
+    # The budget scales whole images by the exposure, but exposure leaves backgrounds as they are.
+    # Black replaces images: errors at the mesh's edge are largest there.
+    color = np.multiply(clear_color(scene.background), 2.0**-budget.exposure).clip(max=MAX_RADIANCE)
+    background = None if scene.background is None else color
     viewpoints = [
-        Viewpoint(replace(scene, camera=camera), renderer)
+        Viewpoint(replace(scene, camera=camera, background=background), renderer)
         for renderer in renderers
         for camera in cameras
     ]

@@ -20,6 +20,7 @@ from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
 from facerender.pricing.cost import Frames, Interval, Line, relative, seconds
 from facerender.pricing.table import NoPrice, load_prices
+from facerender.scene.background import clear_color
 from facerender.scene.detail import LevelOfDetail
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
@@ -334,7 +335,7 @@ class ReferencePixels:
         if self.scattered is not None:
             image += self.scattered(shading)
         if self.scene.background is not None:
-            image[~self.counted] = self.scene.background
+            image[~self.counted] = clear_color(self.scene.background)
         return image
 
     def errors(self, shading: Shading) -> Float:

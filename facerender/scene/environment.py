@@ -266,6 +266,17 @@ class Environment:
             for azimuth, elevation, color, radius in zip(*columns, strict=True)
         )
 
+    def seen(self, directions: Float) -> Float32:
+        """Return the radiance (H, W, 3) that pixels with these directions (H, W, 3) in mesh space
+        show: bilinear interpolation of the panorama."""
+        rows, image = len(self.panorama.radiance), np.empty(directions.shape, dtype=np.float32)
+        for number, along in enumerate(directions):  # by row, so that arrays stay in the cache
+            x, y, z = self.turn @ (along.T / np.linalg.norm(along, axis=-1))
+            row = np.clip(np.arccos(np.clip(y, -1.0, 1.0)) / np.pi * rows - 0.5, 0, rows - 1.001)
+            column = (0.5 - np.arctan2(x, z) / (2.0 * np.pi)) * 2 * rows - 0.5
+            image[number] = self.scale * _bilinear(self.panorama.radiance, row, column)
+        return image
+
     def _repr_png_(self) -> bytes:
         """Return the rotated and scaled panorama as PNG of about 512 columns, for notebooks. The
         middle column is +z, the direction in which the face looks."""
@@ -329,11 +340,11 @@ def _means(values: NDArray[np.floating], edges: Float, target_edges: Float) -> F
     return means
 
 
-def _bilinear(texels: Float, row: Float, column: Float) -> Float:
+def _bilinear(texels: NDArray[np.floating], row: Float, column: Float) -> Float:
     i, j = np.floor(row).astype(int), np.floor(column).astype(int)
-    down, right = (row - i)[..., None], (column - j)[..., None]
-    upper = (1.0 - right) * texels[i, j] + right * texels[i, j + 1]
-    lower = (1.0 - right) * texels[i + 1, j] + right * texels[i + 1, j + 1]
+    down, right, k = (row - i)[..., None], (column - j)[..., None], (j + 1) % texels.shape[1]
+    upper = (1.0 - right) * texels[i, j] + right * texels[i, k]
+    lower = (1.0 - right) * texels[i + 1, j] + right * texels[i + 1, k]
     return np.asarray((1.0 - down) * upper + down * lower)
 
 

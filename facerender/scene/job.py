@@ -15,9 +15,11 @@ from typing import Any
 
 from facerender.errors import InputError, clipped, number_of, quoted, warn
 from facerender.images.files import MAX_SIDE, format_of
+from facerender.images.image import TONES, ImageData, Tone
 from facerender.loading import MESH_PATHS, MeshFile, load_mesh
 from facerender.material import MAPS, Factors, Material, PartFactors
 from facerender.mesh.mesh import Mesh, warn_of_one_lobe
+from facerender.scene.background import check_environment
 from facerender.scene.camera import Camera
 from facerender.scene.detail import LevelOfDetail, Planned
 from facerender.scene.environment import EnvironmentFile
@@ -92,6 +94,12 @@ class Output:
         "the whole image",
     )
     exposure: float = field(EXPOSURES, 0.0, "exposure of all formats except .exr")
+    tone: Tone = field(
+        Choice(TONES, "tone"),
+        "linear",
+        "tone mapping of all formats except .exr",
+        "linear clips radiance at 1; neutral, the Khronos PBR Neutral tone mapper, compresses it",
+    )
 
     def __post_init__(self) -> None:
         format_of(self.path)
@@ -112,7 +120,7 @@ class Job:
     camera: Camera = field_of(Scene, "camera")
     lights: tuple[Light, ...] = field_of(Scene, "lights")
     ambient: float | Vector = field_of(Scene, "ambient")
-    background: Vector | None = field_of(Scene, "background")
+    background: Vector | ImageData | str | None = field_of(Scene, "background")
     shading: Shading = field(
         Built(Shading), Shading(), "specular term of the lights, and the features that are left out"
     )
@@ -150,6 +158,7 @@ class Job:
 
     def __post_init__(self) -> None:
         set_default_light(self)
+        check_environment(self)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Job:
@@ -170,10 +179,11 @@ class Job:
     def as_dict(self) -> dict[str, Any]:
         """Return the job as plain data for JSON or TOML; see :meth:`from_dict`. Raises InputError
         if a map of the mesh is in memory."""
-        for name in MESH_PATHS:
-            if not isinstance(value := getattr(self.mesh, name), str | None):
-                remedy = "give a path: files cannot contain a map in memory"
-                raise InputError(f"mesh {name} = {quoted(value)}: {remedy}")
+        files = {f"mesh {name}": getattr(self.mesh, name) for name in MESH_PATHS}
+        for name, value in {**files, "background": self.background}.items():
+            if not isinstance(value, str | tuple | None):
+                remedy = "give a path: files cannot contain an image in memory"
+                raise InputError(f"{name} = {quoted(value)}: {remedy}")
         table = plain(self) | {"background": self.background or "none"}
         # Defaults of a shading stay away: a plan pins only the values that it decided.
         table["shading"] = self.shading.as_dict()
@@ -263,7 +273,7 @@ def scene_toml(scene: Scene, shading: Shading, planned: Planned | None = None) -
     shared = {name: several.pop() for name, several in values if len(several) == 1}
     tables = {
         "ambient": scene.ambient,
-        "background": "none" if scene.background is None else scene.background,
+        "background": getattr(scene.background, "name", scene.background) or "none",
         "camera": plain(scene.camera, changed=True),
         "lights": [plain(light, changed=True) for light in scene.lights],
         "environment": source

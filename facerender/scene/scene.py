@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from facerender.errors import InputError, quoted
+from facerender.images.files import read_image
+from facerender.images.image import ImageData
 from facerender.mesh.mesh import Mesh
+from facerender.scene.background import BACKGROUNDS, ENVIRONMENT, BackgroundSource
 from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
 from facerender.scene.light import LIGHTS, Light
 from facerender.values.fields import Built, Several, field, record
-from facerender.values.vectors import BACKGROUNDS, COLORS, Vector
+from facerender.values.vectors import COLORS, Vector
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,8 +40,8 @@ class Scene:
     Parameters
     ----------
     mesh : a :class:`Mesh`, or any source that :func:`facerender.load_mesh` accepts
-    environment : environment map that lights the mesh but is not visible behind it, or any value
-        that :func:`facerender.load_environment` accepts, or None
+    environment : environment map that lights the mesh, or any value that
+        :func:`facerender.load_environment` accepts, or None
     before : the scene in the frame before, for motion vectors, or None. Its mesh has the same
         triangles, usually in another pose, and its camera may differ
     """
@@ -61,11 +64,13 @@ class Scene:
         "ambient irradiance, E or R,G,B",
         unset=f"{','.join(map(str, AMBIENT))}; 0 with an environment map",
     )
-    background: Vector | None = field(
+    background: Vector | ImageData | str | None = field(
         BACKGROUNDS,
         (0.012, 0.013, 0.016),
-        'linear background colour R,G,B, or "none" for transparent',
-        ".jpg, .gif and .mp4 cannot be transparent",
+        'linear background colour R,G,B, "none" for transparent, "environment" for the environment '
+        "map, or an image: a file (Python: also an array), scaled to cover the background",
+        ".jpg, .gif and .mp4 cannot be transparent. Exposure and tone leave colours and images as "
+        "they are",
     )
     environment: Environment | None = None
     before: Scene | None = None
@@ -78,7 +83,7 @@ class Scene:
             camera: Camera | str = ...,
             lights: Sequence[Light | str] | Light | str | None = ...,
             ambient: float | Vector | None = ...,
-            background: Vector | str | None = ...,
+            background: BackgroundSource = ...,
             environment: EnvironmentSource | None = ...,
             before: Scene | None = ...,
         ) -> None: ...
@@ -92,6 +97,8 @@ class Scene:
             object.__setattr__(self, "mesh", load_mesh(self.mesh))
         if self.environment is not None and not isinstance(self.environment, Environment):
             object.__setattr__(self, "environment", load_environment(self.environment))
+        if isinstance(self.background, str) and self.background != ENVIRONMENT:
+            object.__setattr__(self, "background", read_image(self.background))
         if not isinstance(self.before, Scene | None):
             raise InputError(f"before = {quoted(self.before)}: give the scene of the frame before")
         set_default_light(self)

@@ -96,6 +96,12 @@ class View:
         cancels out: Roberts (2018), "The unreasonable effectiveness of quasirandom sequences"."""
         return np.asarray((np.array([0.0, 0.5, 0.5]) + self.number * _PHASES) % 1.0)
 
+    def directions(self, positions: Float) -> Float:
+        """Return the directions (N, 3) in mesh space of the rays through positions (N, 2) of the
+        undistorted image, whose x and y are from -1 to 1."""
+        rays = np.column_stack([positions, np.ones(len(positions))])
+        return np.asarray(rays @ np.linalg.inv(self.matrix[:3, _XYW]))
+
     def shifted(self, pixels: tuple[float, float], size: int | Pair, number: int = 0) -> View:
         """Return the view with its image, of the given size, moved right and down by ``pixels``."""
         move = np.eye(4)

@@ -25,8 +25,6 @@ MILLIMETRES = Range(1e-6, 1e6, "mm")  # length of a mesh unit
 IMAGE_SIZES = SizeRange(1, 1 << 30, "pixels")  # of any image, also one that no driver can draw
 POSITIONS = VectorRange(-FARTHEST, FARTHEST, "mesh units", single=False)
 COLORS = VectorRange(0.0, MAX_RADIANCE)  # linear RGB of a colour or an irradiance
-_NONE = ', or "none" (None in Python) for a transparent background'
-BACKGROUNDS = VectorRange(0.0, MAX_RADIANCE, other=_NONE, none="none")
 AZIMUTHS = Range(-3600.0, 3600.0, "degrees")
 ROTATIONS = VectorRange(-3600.0, 3600.0, "degrees", single=False)  # see rotation_of()
 ELEVATIONS = Range(-90.0, 90.0, "degrees")

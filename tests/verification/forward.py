@@ -7,6 +7,7 @@ from facerender.drawing.frame_passes import Structure, image_passes
 from facerender.drawing.maps import Maps
 from facerender.drawing.prepare import ResolvedScene
 from facerender.drawing.program import Pass
+from facerender.scene.background import clear_color
 from facerender.scene.view import View
 
 
@@ -14,5 +15,5 @@ def forward_passes(resolved: ResolvedScene, view: View, size: tuple[int, int]) -
     """Return the passes of an image without scattering and refraction."""
     scene, look = resolved.scene, resolved.appearance
     maps = Maps(look, scene.mesh, view, size, refracts=False)
-    background = scene.background or (0.0, 0.0, 0.0)
+    background = clear_color(scene.background)
     return image_passes(Structure(look, scene.mesh, maps, background, 1), None)

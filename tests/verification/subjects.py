@@ -11,6 +11,7 @@ import numpy as np
 import facerender as fr
 from facerender.drawing.reference import shade
 from facerender.planning.budget import Budget
+from facerender.scene.background import clear_color
 from tests.verification.lights import PLAIN, PLAIN_THREE
 
 BUDGETS = ("0.5/255", "1/255", "4/255")
@@ -79,7 +80,7 @@ def brute_force(
             gbuffers[key] = [renderer.gbuffer(scene, shading) for scene in scenes]
         shaded = [shade(each, at, shading) for each, at in zip(gbuffers[key], scenes, strict=True)]
         for image, inside in zip(shaded, covered, strict=True):
-            image[~inside] = subject.scene.background
+            image[~inside] = clear_color(subject.scene.background)
         return shaded
 
     def worst(shading: fr.Shading) -> float:

@@ -422,7 +422,7 @@ function drawErrors(buffer, fragment, values) {
   });
   gl.activeTexture(gl.TEXTURE0);
   drawScreen(size, [sources.page["error.glsl"], fragment],
-    {a: 0, b: 1, exposure: 2 ** state.exposure, ...values});
+    {a: 0, b: 1, exposure: 2 ** state.exposure, background: facts.background, ...values});
 }
 
 function show(gain) {

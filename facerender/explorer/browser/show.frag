@@ -21,6 +21,6 @@ void main() {
     ivec2 at = ivec2(int(gl_FragCoord.x), height - 1 - int(gl_FragCoord.y));
     vec4 error = error_at(at);
     vec4 image = at.x < cut ? texelFetch(a, at, 0) : texelFetch(b, at, 0);
-    color = vec4(difference ? heat(sqrt(gain * error.y / 255.0)) : displayed(image.rgb), 1.0);
+    color = vec4(difference ? heat(sqrt(gain * error.y / 255.0)) : displayed(image), 1.0);
     if (budget >= 0.0 && error.y > budget) color.rgb = mix(color.rgb, vec3(1.0, 0.0, 0.05), 0.85);
 }
