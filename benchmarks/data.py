@@ -1,4 +1,5 @@
-"""The data sets of docs/measurements; `python -m tools.docs` turns them into tables."""
+"""The data sets of docs/measurements, which `python -m tools.docs` turns into tables, and the ratio
+of two times."""
 
 from __future__ import annotations
 
@@ -7,7 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import facerender as fr
+from facerender.pricing.cost import Draw, Interval, bootstrap, seconds
 from tests.verification.scan import load_scan, scan_folder
 from tests.verification.subjects import Subject, subjects
 
@@ -33,3 +37,9 @@ def scenes() -> Iterator[Subject]:
     """Yield the scenes for plans: ten, or eight without the head scan."""
     found = dict(meshes())
     yield from subjects(found["head"], found.get("scan"))
+
+
+def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
+    """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
+    times, baseline = seconds([draw, full], repeats).T
+    return bootstrap(lambda turns: np.median((times / baseline)[turns], keepdims=True), repeats)[0]

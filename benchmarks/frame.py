@@ -17,10 +17,9 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from benchmarks.data import meshes, save, scenes
+from benchmarks.data import meshes, ratio, save, scenes
 from facerender.images.image import linear_to_srgb
-from facerender.planning.decisions import Decision
-from facerender.pricing.cost import ratio
+from facerender.planning.search import Decision
 from facerender.scene.job import MAX_SAMPLES
 from facerender.scene.scene import SHADING_RATES, ShadingRate
 from tests.verification.lights import PLAIN_THREE

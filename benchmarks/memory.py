@@ -41,7 +41,7 @@ import facerender as fr
 from facerender.images.files import read_image
 from facerender.images.image import linear_to_srgb
 from facerender.scene.light import LIGHTS
-from facerender.terms import FRESNEL, MASKING
+from facerender.terms.model import FRESNEL, MASKING
 
 
 def resident() -> int:

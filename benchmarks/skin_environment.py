@@ -3,13 +3,15 @@
     python -m benchmarks.skin_environment
 
 Compares specular light from few samples with many samples, and diffuse light from nine
-coefficients with the whole panorama. Counts bright dots of highlights narrower than a pixel. Writes
-docs/measurements/skin_environment.json in 4 minutes.
+coefficients with the whole panorama. Compares images with and without the shadows of the
+environment with rays. Counts bright dots of highlights narrower than a pixel. Writes
+docs/measurements/skin_environment.json in 8 minutes.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,10 +24,12 @@ from facerender.images.image import encode_srgb8
 from facerender.scene.environment import studio
 from facerender.terms.environment import environment_irradiance
 from facerender.values.vectors import direction_to
+from tests.verification.environment import Traced, overcast
+from tests.verification.scan import TEST_DATA
 
 Float = NDArray[np.float64]
 
-SIZE, MANY = 192, 4096
+SIZE, MANY, DIRECTIONS = 192, 4096, 4096
 COUNTS, SLOPES = (8, 16, 32, 64), (0.15, 0.3, 0.5)
 
 
@@ -88,7 +92,7 @@ def sample_errors(
     covered = renderer.gbuffer(scene).part >= 0
 
     def image(count: int) -> Float:
-        shading = fr.Shading(environment_samples=count)
+        shading = fr.Shading(environment_samples=count, environment_lights=0)
         return renderer.render(scene, shading).linear[covered][:, :3].astype(np.float64)
 
     many = image(MANY)
@@ -107,13 +111,36 @@ def sample_errors(
     return errors
 
 
+def ray_errors() -> list[dict[str, Any]]:
+    """Return the errors against rays without and with the shadows of the environment."""
+    heads = dict(meshes())
+    if (path := TEST_DATA / "faces" / "ICT-FaceKit" / "generic_neutral_mesh.obj").is_file():
+        heads["ICT-FaceKit"] = fr.load_mesh(path)
+    rows = []
+    with fr.Renderer(SIZE, samples=1, float_albedo=True) as renderer:
+        for name, mesh in heads.items():
+            scene = fr.Scene(mesh, fr.Camera(frame="face"), (), 0.0, environment="studio")
+            traced = Traced(renderer, scene, DIRECTIONS)
+            for panorama in (studio(), sky(), overcast()):
+                environment = fr.Environment(panorama)
+                expected = traced.radiance(environment, fr.Shading())
+                for count in (0, 8):
+                    shading = fr.Shading(environment_lights=count)
+                    error = asdict(traced.error(environment, shading, expected))
+                    texts = {"mesh": name, "environment": panorama.name, "lights": count}
+                    rows.append({**texts, **{key: round(value, 2) for key, value in error.items()}})
+                    print(*rows[-1].values(), flush=True)
+    return rows
+
+
 def sparkle(size: int = 384) -> dict[str, int]:
     """Return numbers of pixels that differ by more than 32 levels from an image of 6 times the size
     that is scaled down, keyed by the name of a setting."""
     scene = fr.Scene(fr.load_mesh(), fr.Camera("three-quarter"), environment="studio")
 
-    def image(scale: int, samples: int, shading: fr.Shading = fr.Shading()) -> NDArray[np.int64]:
+    def image(scale: int, samples: int) -> NDArray[np.int64]:
         with fr.Renderer((scale * size, scale * size), samples=samples) as renderer:
+            shading = fr.Shading(environment_lights=0)
             linear = renderer.render(scene, shading).linear[..., :3]
         mean = linear.reshape(size, scale, size, scale, 3).mean(axis=(1, 3))
         return encode_srgb8(mean).astype(np.int64)
@@ -164,6 +191,7 @@ def main() -> None:
         diffuse=diffuse,
         samples=rows,
         float64=worst,
+        rays=ray_errors(),
         sparkle=sparkle(),
         cycles={name: round(value) for name, value in cycles.items()},
     )

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 import facerender as fr
-from benchmarks.data import save
-from facerender.pricing.cost import ratio
+from benchmarks.data import ratio, save
 from tests.meshes import with_geometry
 from tests.verification.eye import INDEX, iris_errors
 from tests.verification.parts_head import NAMES, parts_head

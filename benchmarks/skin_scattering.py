@@ -12,8 +12,7 @@ from functools import partial
 from typing import Any
 
 import facerender as fr
-from benchmarks.data import meshes, save
-from facerender.pricing.cost import ratio
+from benchmarks.data import meshes, ratio, save
 from tests.verification.scattering import SUBJECTS, scatter_errors
 
 SAMPLES = (8, 16, 32, 64)

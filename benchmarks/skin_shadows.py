@@ -12,8 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import facerender as fr
-from benchmarks.data import meshes, save
-from facerender.pricing.cost import ratio
+from benchmarks.data import meshes, ratio, save
 from tests.verification.occlusion import occlusion_error
 from tests.verification.shadows import shadow_error
 

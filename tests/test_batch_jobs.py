@@ -186,7 +186,7 @@ def test_row_overrides_common_values():
     assert first.tables["camera"] == {"fov": 30, "zoom": 2}
     lights = Job.from_dict(first.tables).lights
     assert lights[0] == parse_light("key")
-    assert lights[1] == parse_light("5,33,2.4,2.5,2.7,radius=4")
+    assert lights[1] == replace(parse_light("rim"), azimuth=5.0)
     assert lights[2] == parse_light("fill")
     assert first.outputs == ("depth",)
     assert second.tables["lights"] == []

@@ -131,10 +131,14 @@ def test_depths_behind_the_bounding_sphere_are_not_0(drawing):
     """A pose may move the surface away, for example by a whole 65536 steps."""
     mesh = fr.Mesh.from_arrays([(-1, -1, 0), (1, -1, 0), (0, 2, 0)], [(0, 1, 2)])
     camera = fr.Camera(position=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0))
-    scale = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0).details["depth_scale"]
+    scale = draw(job_of(camera=camera), mesh, drawing, ("depth",), 0.0, "linear").details[
+        "depth_scale"
+    ]
     for steps in (65534, 65536, 80000):
         away = mesh.with_positions(mesh.parts[0].positions - (0.0, 0.0, steps * scale - 4.0))
-        (content,) = draw(job_of(camera=camera), away, drawing, ("depth",), 0.0).files.values()
+        (content,) = draw(
+            job_of(camera=camera), away, drawing, ("depth",), 0.0, "linear"
+        ).files.values()
         assert [*np.unique(unchanged(content))] == [0, min(steps, 65535)]
 
 

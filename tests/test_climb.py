@@ -12,8 +12,7 @@ import pytest
 
 from facerender.drawing.context import Backend, create_context
 from facerender.scene.shading import Term
-from facerender.terms import lobe_entry
-from facerender.terms.lobe import MIN_SLOPE
+from facerender.terms.lobe import MIN_SLOPE, lobe_entry
 from tests.test_targets import opened
 from tests.verification.cases import Case, Each, brdf_case, directions_and_extremes
 from tests.verification.climb import VARIANTS, climb, slopes_of

@@ -31,7 +31,8 @@ from facerender.scene.job import Job
 from facerender.scene.scene import default_lights
 from facerender.scene.shading import Term
 from facerender.scene.view import view_of
-from facerender.terms import LOBES, MODELS, lobe_entry
+from facerender.terms.lobe import LOBES, lobe_entry
+from facerender.terms.model import MODELS
 from facerender.texture.texture import Texture
 from facerender.values.vectors import direction_to
 from tests.meshes import with_geometry

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 
 import facerender as fr
+from benchmarks.data import ratio
 from facerender.drawing.context import Context
 from facerender.drawing.prepare import simplify
 from facerender.images.image import linear_to_srgb
 from facerender.planning import search
 from facerender.planning.budget import Budget
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint, changed
-from facerender.planning.decisions import details
-from facerender.planning.search import Choice
+from facerender.planning.search import Choice, details
 from facerender.pricing import cost as pricing
-from facerender.pricing.cost import Interval, Line, ratio, relative
+from facerender.pricing.cost import Interval, Line, relative
 from facerender.scene.detail import LevelOfDetail, Planned
 from facerender.scene.job import load_scene
 from tests.awkward_files import MINI_HEAD
@@ -419,6 +419,6 @@ def test_error_at_another_camera_is_an_example(drawing, scene, planned):
 def test_ratio_compares_frames_of_the_same_round(monkeypatch):
     """A machine that slows down between rounds does not change the ratio."""
     times = np.array([[1.0, 2.0], [1.0, 2.0], [10.0, 20.0], [10.0, 20.0]])
-    monkeypatch.setattr("facerender.pricing.cost.seconds", lambda draws, repeats: times)
+    monkeypatch.setattr("benchmarks.data.seconds", lambda draws, repeats: times)
     found = ratio(None, None, 4)
     assert (found.low, found.value, found.high) == (0.5, 0.5, 0.5)

@@ -353,7 +353,7 @@ def test_pixels_of_visible_landmarks_have_a_depth(renderer, tmp_path):
             mesh = row("left", "right").with_material("right", **({"alpha": "blend"} | alpha))
             image = fr.ImageSettings(size=renderer.size, samples=1)
             job = fr.Job(camera=fr.Camera(azimuth), image=image, landmarks=str(path))
-            drawn = draw(job, mesh, renderer, ("depth",), 0.0)
+            drawn = draw(job, mesh, renderer, ("depth",), 0.0, "linear")
             depth = np.asarray(Image.open(BytesIO(drawn.files["depth.png"])))
             found = drawn.details["landmarks"]
             nearest_depth = [depth[int(mark["y"]), int(mark["x"])] for mark in found]

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 import facerender as fr
 from facerender.drawing.prepare import resolved_parts, start_maps
-from facerender.loading.mtl import DEPTH
+from facerender.loading.obj import DEPTH
 from facerender.material import SKIN_ALBEDO
 from facerender.mesh.repair import joined
 from tests import awkward_files as files

@@ -29,7 +29,7 @@ from facerender.planning.candidates import (
     changed,
     with_decisions,
 )
-from facerender.planning.decisions import _words
+from facerender.planning.search import _words
 from facerender.pricing.table import load_prices
 from facerender.scene.camera import turntable
 from facerender.scene.detail import Planned

@@ -34,7 +34,7 @@ from facerender.lobes import GPower
 from facerender.material import MAPS
 from facerender.measure.measurement import block_error
 from facerender.scene.environment import studio
-from facerender.terms import MODELS, Model
+from facerender.terms.model import MODELS, Model
 from tests.awkward_files import MINI_HEAD
 from tests.conftest import missing, require_backend
 from tests.meshes import with_geometry
@@ -616,12 +616,13 @@ def test_more_samples_than_the_driver_has(egl):
     mesh = fr.load_mesh(MINI_HEAD)
     scene = fr.Scene(mesh.with_material(m=0.3, albedo_map=None, normal_map=None))
     images = {}
-    for size, samples in ((32, 1), (32, 4), (32, 64), (256, 1)):
+    for size, samples in ((32, 1), (32, 4), (32, 16), (32, 64), (256, 1)):
         with fr.Renderer((size, size), samples=samples, backend=egl) as renderer:
             images[size, samples] = renderer.render(scene).linear
     fine = images[256, 1].reshape(32, 8, 32, 8, 4).mean(axis=(1, 3))
     error = {key: np.abs(image - fine).mean() for key, image in images.items() if key[0] == 32}
-    assert error[32, 64] < 0.2 * error[32, 4] < 0.2 * error[32, 1]
+    assert error[32, 64] < 0.7 * error[32, 4] < 0.7 * error[32, 1]
+    assert error[32, 64] < error[32, 16] < 0.8 * error[32, 4]
 
 
 def test_moderngl_keeps_no_default_context(egl, head):

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from facerender import InputError
-from facerender.measure import chart, report
-from facerender.measure.chart import FRAME, LIMITS, TERM, measure_of, pareto, recommended
+from facerender.measure import report
+from facerender.measure.report import FRAME, LIMITS, TERM, measure_of, pareto, recommended
 from tests.test_compare_report import Page
 from tests.test_page import CONTRASTS
 from tools.docs.tables.trade import measurement_of
@@ -205,7 +205,7 @@ def test_names_are_nearest_to_their_own_points(data, spread):
         each["cost"]["term_ns"] = {"value": cost, "low": 0.99 * cost, "high": 1.01 * cost}
         if each["error"]["image"]:
             each["error"]["image"]["largest"] = 0.3 * (1.0 - 0.99 * spread) ** i
-    svg = ElementTree.fromstring(chart.trade(rows(data), "cost", "error"))
+    svg = ElementTree.fromstring(report.trade(rows(data), "cost", "error"))
     circles = [(each.findtext("title"), each.find("circle").attrib) for each in svg.iter("g")]
     points = {name: (float(at["cx"]), float(at["cy"])) for name, at in circles}
     lines = {each.get("d").split("L")[0] for each in svg.iterfind("path")}

@@ -15,7 +15,8 @@ from facerender import InputError, brdf, lobes, resolve_includes, shader_dir, sh
 from facerender.drawing.context import Backend, create_context
 from facerender.glsl.library import defines, lobe_macros
 from facerender.scene.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, Fresnel, Lobe, Masking, lobe_entry
+from facerender.terms.lobe import LOBES, Lobe, lobe_entry
+from facerender.terms.model import FRESNEL, MASKING, Fresnel, Masking
 from tests.verification.cases import brdf_case, directions, flat, include
 from tests.verification.evaluate import Evaluator
 

@@ -101,6 +101,39 @@ def test_folds_have_no_dots(egl, name, azimuth, radius, request):
         assert dots.sum() <= 2e-4 * lit.sum() + 5
 
 
+def dots(renderer, mesh, light, azimuth, samples):
+    """Return the RMS difference of a shadow from its 3 x 3 median within the penumbra, in levels of
+    255. Real edges, such as eyelids, count too."""
+    from scipy.ndimage import median_filter
+
+    lit, free = (
+        renderer.render(
+            fr.Scene(mesh, fr.Camera(azimuth), (replace(light, shadow=shadow),), 0.0),
+            samples=samples,
+        ).linear
+        for shadow in (True, False)
+    )
+    seen = lit[..., :3].mean(axis=-1) / np.maximum(free[..., :3].mean(axis=-1), 1e-6)
+    covered = (free[..., 3] > 0.999) & (free[..., :3].mean(axis=-1) > 0.02)
+    smooth = median_filter(np.where(covered, seen, 0.0), 3)
+    penumbra = median_filter(covered, 3) & covered & (smooth > 0.05) & (smooth < 0.95)
+    return 255.0 * float(np.sqrt(np.mean((seen - smooth)[penumbra] ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("light", "azimuth", "bound"),
+    [
+        (fr.Light(1.27, 63.75, 3.0, radius=7.7), 0.0, 13.4),
+        (fr.Light(-135.0, 25.0, 3.0, radius=12.0), -90.0, 16.1),
+    ],
+    ids=["neck", "ear"],
+)
+def test_samples_average_the_noise_of_soft_shadows(renderer, head, light, azimuth, bound):
+    few, many = (dots(renderer, head, light, azimuth, samples) for samples in (4, 16))
+    assert few < bound  # 0.6 of the noise of 8 samples in the search and 12 in the mean
+    assert many < 0.65 * few
+
+
 def test_maps_are_drawn_again_when_something_moves(renderer, monkeypatch):
     head, drawn = fr.load_mesh(MINI_HEAD), []
     replay = CompiledFrame._replay

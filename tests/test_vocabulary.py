@@ -21,8 +21,7 @@ from facerender.scene.camera import AZIMUTHS_BY_NAME
 from facerender.scene.detail import Planned
 from facerender.scene.environment import STUDIO
 from facerender.scene.light import LIGHTS
-from facerender.values.fields import limits_of
-from facerender.values.tables import toml_text
+from facerender.values.fields import limits_of, toml_text
 from tests.awkward_files import MINI_HEAD
 from tests.settings import scene_value
 from tools.docs.tables import vocabulary

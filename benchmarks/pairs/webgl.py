@@ -17,7 +17,7 @@ from facerender.drawing.prepare import reduced, resolve
 from facerender.drawing.program import ENVIRONMENT_MAP, Draw, Pass, fixed_attributes
 from facerender.scene.scene import Scene
 from facerender.scene.view import view_of
-from facerender.texture.mips import Kind
+from facerender.texture.texture import Kind
 from tests.verification.forward import forward_passes
 
 if TYPE_CHECKING:

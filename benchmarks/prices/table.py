@@ -29,8 +29,8 @@ from facerender.pricing.table import (
 )
 from facerender.scene.scattering import Scattering
 from facerender.scene.shading import Shading, Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower
-from facerender.terms.lobe import G_POWERS
+from facerender.terms.lobe import G_POWERS, LOBES, AnyLobe, GPower
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 from facerender.terms.transport import PROFILES
 
 _SCATTER_SAMPLES = (8, 16)  # RADV unrolls these loops, and counts longer ones once

@@ -13,8 +13,8 @@ const figures = [...document.querySelectorAll("figure")]; // exact, approximatio
 const scene = new THREE.Scene();
 scene.background = new THREE.Color(0x24272b);
 scene.add(new THREE.AmbientLight(0xffffff, 0.35));
-addLight(-50, 42, new THREE.Color(1.9, 1.8, 1.6));
-addLight(100, 33, new THREE.Color(1.8, 1.9, 2.05));
+addLight(-50, 42, new THREE.Color(3.6, 3.4, 3.1));
+addLight(100, 33, new THREE.Color(0.9, 0.94, 1.0));
 
 const m = { value: 0 };
 const exact = new SkinMaterial({ m });

@@ -38,8 +38,7 @@ from facerender.scene.environment import STUDIO
 from facerender.scene.job import ImageSettings, Job
 from facerender.scene.scene import ONLY
 from facerender.system.files import data_dir, digest_of
-from facerender.values.fields import EXPOSURES, PATH, build, limits_of
-from facerender.values.tables import Table, listed, merged
+from facerender.values.fields import EXPOSURES, PATH, Table, build, limits_of, listed, merged
 
 if TYPE_CHECKING:
     from facerender.drawing.context import Backend
@@ -161,9 +160,8 @@ class JobTable:
                 row = result[0]
                 first = row_numbers.setdefault(row.id, row.number) + 1
                 if first <= row.number:
-                    faults.append(
-                        f"{position}: id = {row.id!r} is used by row {first}: give another"
-                    )
+                    problem = f"id = {row.id!r} is used by row {first}"
+                    faults.append(f"{position}: {problem}: give another")
                 if len(self.faults) + len(faults) == self._most:
                     break
         return faults
@@ -203,9 +201,8 @@ def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
     if "environment" in tables:  # An environment replaces default lights, as in facerender render.
         tables = {"lights": [], "ambient": 0.0, **tables}
     exposure = EXPOSURES.check("exposure", exposure)
-    row = Row(
-        number, _id(template, number, tables), tables, _outputs(outputs), exposure, tone, meta
-    )
+    row_id = _id(template, number, tables)
+    row = Row(number, row_id, tables, _outputs(outputs), exposure, tone, meta)
     job = Job.from_dict(tables)
     job.shading.check_lights(len(job.lights))
     return row, job
@@ -253,16 +250,12 @@ def _id(template: Any, number: int, tables: Table) -> str:
     text = str(template) if type(template) is int else template
     if isinstance(text, str) and not text.isalnum():
         if not {"{", "}"}.isdisjoint(_FIELD.sub("", text)):
-            raise InputError(
-                f"id = {quoted(template)} is not a template: give {{NAME}} or {{NAME:FORMAT}}, "
-                "such as {number:06d}"
-            )
+            remedy = "give {NAME} or {NAME:FORMAT}, such as {number:06d}"
+            raise InputError(f"id = {quoted(template)} is not a template: {remedy}")
         text = _FIELD.sub(lambda field: _formatted(field, number, tables), text)
     if not isinstance(text, str) or not _ID.fullmatch(text):
-        raise InputError(
-            f"id = {quoted(text)}: give 1 to 128 letters, digits, '.', '_' and '-', and no '.' "
-            "first"
-        )
+        remedy = "give 1 to 128 letters, digits, '.', '_' and '-', and no '.' first"
+        raise InputError(f"id = {quoted(text)}: {remedy}")
     return text
 
 
@@ -280,9 +273,8 @@ def _formatted(field: re.Match[str], number: int, tables: Table) -> str:
             try:
                 value = value[int(key) if isinstance(value, list) else key]
             except (LookupError, TypeError, ValueError):
-                raise InputError(
-                    f"id = {quoted(template)} uses {name}, which the row does not define"
-                ) from None
+                problem = f"uses {name}, which the row does not define"
+                raise InputError(f"id = {quoted(template)} {problem}") from None
     if isinstance(value, bool):
         value = str(value).lower()
     try:
@@ -290,9 +282,8 @@ def _formatted(field: re.Match[str], number: int, tables: Table) -> str:
             raise TypeError
         text = format(value, spec)
     except (TypeError, ValueError):
-        raise InputError(
-            f"id = {quoted(template)}: {name} = {quoted(value)} cannot be formatted as {spec!r}"
-        ) from None
+        problem = f"{name} = {quoted(value)} cannot be formatted as {spec!r}"
+        raise InputError(f"id = {quoted(template)}: {problem}") from None
     return re.sub("[^A-Za-z0-9._-]", "_", text.replace("+", ""))
 
 
@@ -377,10 +368,8 @@ def _groups(rows: Iterable[Row], size: int, layout: Layout) -> Iterator[list[Row
 
     for row in rows:
         if layout == "shards" and "." in row.id:
-            raise InputError(
-                f"id {row.id!r} contains a dot, at which readers of shards split the name: give "
-                "an id without a dot, or use --layout files"
-            )
+            problem = f"id {row.id!r} contains a dot, at which readers of shards split the name"
+            raise InputError(f"{problem}: give an id without a dot, or use --layout files")
         name = json.dumps([row.tables.get("mesh"), row.tables.get("image")])
         group = waiting.setdefault(name, [])
         group.append(row)

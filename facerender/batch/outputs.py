@@ -204,10 +204,8 @@ def draw(
     if "layers" in outputs:
         openexr("layers.exr")
     if "parts" in outputs and len(mesh.parts) > _MAX:
-        raise InputError(
-            f"{mesh.name} has {len(mesh.parts)} parts, but parts.png holds at most {_MAX}: use "
-            "the output layers instead of parts"
-        )
+        problem = f"has {len(mesh.parts)} parts, but parts.png holds at most {_MAX}"
+        raise InputError(f"{mesh.name} {problem}: use the output layers instead of parts")
     detail = job.detail(renderer.samples)
     record: dict[str, Any] = {
         name: renderer.metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
@@ -306,10 +304,9 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
     result of :func:`camera_record` and the path of the image, relative to the transforms.json."""
     coefficients: list[float] = camera.get("distortion", [])
     if any(coefficients[5:]):  # The format has a k4, with another meaning.
-        raise InputError(
-            f"{file_path}: its camera has the distortion coefficients k4 to k6, which "
-            "transforms.json cannot store: run the batch again without --transforms"
-        )
+        problem = "the distortion coefficients k4 to k6, which transforms.json cannot store"
+        remedy = "run the batch again without --transforms"
+        raise InputError(f"{file_path}: its camera has {problem}: {remedy}")
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     size = {"w": camera["width"], "h": camera["height"]}
     lens = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}

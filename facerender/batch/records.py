@@ -56,9 +56,8 @@ class Storage:
             # A cached listing would miss files that other processes have written since.
             system, path = fsspec.core.url_to_fs(self.root, use_listings_cache=False)
         except (ValueError, ImportError) as error:
-            raise InputError(
-                f"{self.root} cannot be reached ({error}); give a folder or a URL"
-            ) from None
+            remedy = "give a folder or a URL"
+            raise InputError(f"{self.root} cannot be reached ({error}); {remedy}") from None
         self._system, self._path = system, str(path)
 
     def _at(self, name: str) -> str:
@@ -239,10 +238,8 @@ def _check_run(storage: Storage, run: str) -> None:
     except FileNotFoundError:  # batch.json exists only if a coordinator runs the batch.
         return
     if about["run"] != run:
-        raise CannotUse(
-            f"another run of the batch has started in {storage.root}: wait for it, or give another "
-            "folder"
-        )
+        remedy = "wait for it, or give another folder"
+        raise CannotUse(f"another run of the batch has started in {storage.root}: {remedy}")
 
 
 def begin(settings: Settings, chunk: Chunk) -> None:
@@ -410,10 +407,9 @@ class Work:
         The records come from stale chunks, or from the same chunk if another of its jobs failed.
         """
         finished = record_names(storage)
-        folders = [(RECORDS, name) for name in self.todo if name in finished]
-        find = _finder(
-            storage, [*folders, *((STALE, n) for n in sorted(record_names(storage, STALE)))]
-        )
+        chunks_of_folders = [(RECORDS, name) for name in self.todo if name in finished]
+        chunks_of_folders += [(STALE, n) for n in sorted(record_names(storage, STALE))]
+        find = _finder(storage, chunks_of_folders)
         for name in self.todo:
             self._file.seek(self._offsets[name])
             chunk: Chunk = pickle.load(self._file)
@@ -480,10 +476,8 @@ def locked(output: str) -> Iterator[Storage]:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                raise InputError(
-                    f"another batch is being written to {storage.root}: wait for it, or give "
-                    "another folder"
-                ) from None
+                problem = f"another batch is being written to {storage.root}"
+                raise InputError(f"{problem}: wait for it, or give another folder") from None
             storage.sweep()
             stack.enter_context(if_ended(storage.sweep, always=True))
         yield storage
@@ -534,10 +528,8 @@ def _check_removed(work: Work, storage: Storage, table: str) -> None:
             )
     # With millions of ids, setdiff1d takes tens of MiB, which most batches do not need.
     if finished and (count := len(np.setdiff1d(np.asarray(finished), np.asarray(work.ids)))):
-        raise InputError(
-            f"{table} lacks {count} of the finished jobs in {storage.root}: give another folder, "
-            "or --prune to delete their files"
-        )
+        remedy = "give another folder, or --prune to delete their files"
+        raise InputError(f"{table} lacks {count} of the finished jobs in {storage.root}: {remedy}")
 
 
 def status(output: str) -> dict[str, int]:
@@ -548,10 +540,8 @@ def status(output: str) -> dict[str, int]:
         jobs = int(json.loads(storage.get(ABOUT))["jobs"])
         heads = [read_head(storage, name) for name in record_names(storage)]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            f"{output} is not a batch: its {ABOUT} cannot be read ({reason(error)}); "
-            "give the output folder of facerender batch"
-        ) from None
+        problem = f"{output} is not a batch: its {ABOUT} cannot be read ({reason(error)})"
+        raise InputError(f"{problem}; give the output folder of facerender batch") from None
     done, failed = (sum(head[name] for head in heads) for name in ("done", "failed"))
     return {"jobs": jobs, "done": done, "failed": failed, "left": jobs - done - failed}
 

@@ -59,10 +59,8 @@ class Progress(ExitStack):
         super().__init__()
         has_bars, jobs = shows_bars(quiet), len(work.ids)
         self._done = jobs - work.left
-        timing = {"mininterval": 0.2, "smoothing": 0.05}
-        self._bar = tqdm(
-            total=jobs, initial=self._done, unit=" jobs", disable=not has_bars, **timing
-        )
+        options = {"unit": " jobs", "disable": not has_bars, "mininterval": 0.2, "smoothing": 0.05}
+        self._bar = tqdm(total=jobs, initial=self._done, **options)
         positions = range(1, 1 + workers * has_bars)
         self._free = [tqdm(bar_format="{desc}", position=i, leave=False) for i in positions]
         for bar in (self._bar, *self._free):
@@ -362,9 +360,8 @@ def dask(address: str) -> Iterator[Engine]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError(
-            f"--scheduler {address} needs dask.distributed: pip install 'facerender[batch]'"
-        ) from None
+        remedy = "pip install 'facerender[batch]'"
+        raise InputError(f"--scheduler {address} needs dask.distributed: {remedy}") from None
     # This module reports Dask's errors.
     for name in [*logging.getLogger().manager.loggerDict]:
         if name.startswith("distributed"):
@@ -384,9 +381,8 @@ def dask(address: str) -> Iterator[Engine]:
         try:
             client.wait_for_workers(1, timeout=_SECONDS)
         except TimeoutError:
-            raise InputError(
-                f"the scheduler at {address} has no worker; run: dask worker {address}"
-            ) from None
+            remedy = f"dask worker {address}"
+            raise InputError(f"the scheduler at {address} has no worker; run: {remedy}") from None
         # With pure=True, Dask would reuse the result of a chunk whose files have been deleted.
         executor = client.get_executor(pure=False, retries=2)
         yield Engine(executor, slots, 0)
@@ -436,17 +432,13 @@ def run(work: Work, settings: Settings, engine: Engine, progress: Progress) -> i
                 raise FacerenderError(_ENDED) from None
             except Exception as error:
                 if tries >= _TRIES:
-                    raise FacerenderError(
-                        f"chunk {chunk.number} was lost {_TRIES} times ({error!r}); "
-                        "run the same command again"
-                    ) from error
+                    problem = f"chunk {chunk.number} was lost {_TRIES} times ({error!r})"
+                    raise FacerenderError(f"{problem}; run the same command again") from error
                 send(chunk, tries + 1)
                 continue
             drawn_count += outcome.steps["done"]
             if outcome.renderer and renderers and outcome.renderer not in renderers:
-                warn(
-                    f"{outcome.worker} draws with {outcome.renderer}, others with "
-                    f"{min(renderers)}: pixels may differ in the last digits"
-                )
+                drivers = f"with {outcome.renderer}, others with {min(renderers)}"
+                warn(f"{outcome.worker} draws {drivers}: pixels may differ in the last digits")
             renderers |= {outcome.renderer} - {""}
             progress.finished(outcome)

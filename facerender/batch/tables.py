@@ -31,8 +31,7 @@ from facerender.scene.environment import EnvironmentFile
 from facerender.scene.light import Light
 from facerender.scene.scene import default_lights
 from facerender.system.files import read_file, suffix_of, tables_of
-from facerender.values.fields import build, plain
-from facerender.values.tables import Table, has_numbers, merged
+from facerender.values.fields import Table, build, has_numbers, merged, plain
 
 # The number of the line where a row ends (None for .parquet, .toml and .py), and a function that
 # returns the row as `nested` does. It raises InputError for this row only: further rows follow.
@@ -65,17 +64,13 @@ def _lines(path: Path) -> Iterator[str]:
         lines = iter(lambda: file.readline(_LONGEST_LINE + 1), b"")
         for number, line in enumerate(lines, 1):
             if len(line) > _LONGEST_LINE:
-                raise InputError(
-                    f"{path.name}, line {number} has more than {_LONGEST_LINE} bytes: give one "
-                    "row per line"
-                )
+                problem = f"line {number} has more than {_LONGEST_LINE} bytes"
+                raise InputError(f"{path.name}, {problem}: give one row per line")
             try:
                 yield line.decode("utf-8-sig" if number == 1 else "utf-8")
             except UnicodeDecodeError as error:
-                raise InputError(
-                    f"{path.name}, line {number} is not UTF-8 ({error.reason}): save the file as "
-                    "UTF-8"
-                ) from None
+                problem = f"line {number} is not UTF-8 ({error.reason})"
+                raise InputError(f"{path.name}, {problem}: save the file as UTF-8") from None
 
 
 def _jsonl(path: Path) -> Iterator[Unparsed]:
@@ -122,10 +117,8 @@ def _csv(path: Path) -> Iterator[Unparsed]:
 
 def _csv_row(names: list[str], cells: list[str]) -> Table:
     if len(cells) != len(names):
-        raise InputError(
-            f"{len(cells)} cells in a table of {len(names)} columns: give one cell per column, and "
-            "quote cells with commas"
-        )
+        remedy = "give one cell per column, and quote cells with commas"
+        raise InputError(f"{len(cells)} cells in a table of {len(names)} columns: {remedy}")
     columns = zip(names, cells, strict=True)
     try:
         row = {name: _cell(name, cell) for name, cell in columns if cell}
@@ -156,9 +149,8 @@ def _parquet(path: Path) -> Iterator[Unparsed]:
     try:
         parquet = importlib.import_module("pyarrow.parquet")
     except ImportError:
-        raise InputError(
-            f"{path.name} needs the package pyarrow; pip install 'facerender[batch]'"
-        ) from None
+        remedy = "pip install 'facerender[batch]'"
+        raise InputError(f"{path.name} needs the package pyarrow; {remedy}") from None
     with path.open("rb") as file:
         try:
             table = parquet.ParquetFile(file)
@@ -169,9 +161,8 @@ def _parquet(path: Path) -> Iterator[Unparsed]:
         except InputError:
             raise
         except (ValueError, ArithmeticError, NotImplementedError, OSError) as error:
-            raise InputError(
-                f"{path.name} is not a readable Parquet file: {clipped(str(error))}"
-            ) from None
+            why = clipped(str(error))
+            raise InputError(f"{path.name} is not a readable Parquet file: {why}") from None
 
 
 def read_toml(path: Path) -> Table:
@@ -203,11 +194,8 @@ def _py(path: Path) -> Iterator[Unparsed]:
 
 def _where(path: Path, error: BaseException) -> str:
     """Describe an error in a .py table in one line of text, with the line number in that file."""
-    lines = [
-        frame.lineno
-        for frame in traceback.extract_tb(error.__traceback__)
-        if frame.filename == str(path)
-    ]
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):
         lines.append(error.lineno)
     line = f", line {lines[-1]}" if lines else ""
@@ -239,9 +227,8 @@ def check_parquet() -> None:
     try:
         import pyarrow  # noqa: F401
     except ImportError:
-        raise InputError(
-            "jobs.parquet needs pyarrow: pip install 'facerender[batch]', or use --table jsonl"
-        ) from None
+        remedy = "pip install 'facerender[batch]', or use --table jsonl"
+        raise InputError(f"jobs.parquet needs pyarrow: {remedy}") from None
 
 
 def write_parquet(lines: Path, target: Path) -> None:
@@ -368,9 +355,8 @@ def _plain(value: Any, name: str, depth: int) -> Any:
     if value_type in (str, bool, float, int):
         return value
     if depth > _DEEPEST:
-        raise InputError(
-            f"{name.split('.')[0]} has tables or lists {depth} deep: use at most {_DEEPEST} levels"
-        )
+        remedy = f"use at most {_DEEPEST} levels"
+        raise InputError(f"{name.split('.')[0]} has tables or lists {depth} deep: {remedy}")
     if value_type is dict or isinstance(value, Mapping):
         return _plain_table(value, name, depth)
     if value_type is list or isinstance(value, list | tuple):
@@ -379,9 +365,8 @@ def _plain(value: Any, name: str, depth: int) -> Any:
         return _plain(value.tolist(), name, depth + 1)
     if isinstance(value, os.PathLike):
         return _plain(os.fspath(value), name, depth + 1)
-    raise InputError(
-        f"{name} = {quoted(value)}: give a number, true or false, text, a list or a table"
-    )
+    remedy = "give a number, true or false, text, a list or a table"
+    raise InputError(f"{name} = {quoted(value)}: {remedy}")
 
 
 def _plain_table(value: Mapping[Any, Any], name: str, depth: int) -> Table:
@@ -457,9 +442,8 @@ def grid_rows(tables: Table) -> Iterator[Table]:
         raise InputError(f"{twice} is given twice in grid and random: remove one")
     rows = len(jobs) * count * math.prod(length for _, length, _ in axes)
     if rows > MAX_ROWS:
-        raise InputError(
-            f"grid, jobs and random give {rows} rows together: give {MAX_ROWS} at most"
-        )
+        remedy = f"give {MAX_ROWS} at most"
+        raise InputError(f"grid, jobs and random give {rows} rows together: {remedy}")
     common = nested(tables)
     bases = [merged(common, nested(job)) for job in jobs]
     meshes = [axis for key, *axis in axes if key.split(".")[0] == "mesh"]
@@ -503,10 +487,8 @@ def _axis(key: str, value: Any) -> tuple[int, Callable[[int], Table]]:
         rows = [nested({key: element}) for element in value]
         return len(rows), rows.__getitem__
     if not isinstance(value, Mapping):
-        raise InputError(
-            f"{name} = {quoted(value)}: give a list of values, or {{ from, to, step }}, or "
-            "{ from, to, count }"
-        )
+        remedy = "give a list of values, or { from, to, step }, or { from, to, count }"
+        raise InputError(f"{name} = {quoted(value)}: {remedy}")
     if len(value) != 3 or set(value) - {"from", "to", "step", "count"}:
         raise InputError(f"{name} = {quoted(value)}: give from, to, and step or count")
     low, high = (_number(f"{name}.{end}", value.get(end)) for end in ("from", "to"))
@@ -516,10 +498,8 @@ def _axis(key: str, value: Any) -> tuple[int, Callable[[int], Table]]:
         if "step" in value:
             step = Decimal(str(_number(f"{name}.step", value["step"])))
             if not step or (end - start) / step < 0:
-                raise InputError(
-                    f"{name}.step = {value['step']!r} does not lead from {low} to {high}: give "
-                    "another"
-                )
+                problem = f"{value['step']!r} does not lead from {low} to {high}"
+                raise InputError(f"{name}.step = {problem}: give another")
             count = int((end - start) // step) + 1
         else:
             count = _whole(f"{name}.count", value["count"], 1)

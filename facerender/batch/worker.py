@@ -86,10 +86,9 @@ def _draw(order: Order) -> Iterator[Message]:
                 job = Job.from_dict(row.tables)
                 mesh, warnings_of_mesh = _mesh(job.mesh)
                 if key_of(row) != chunk.keys[position]:
-                    raise InputError(
-                        "its mesh, maps or environment differ from the files that the coordinator "
-                        "read: give all machines the same files, and run the same command again"
-                    )
+                    problem = "differ from the files that the coordinator read"
+                    remedy = "give all machines the same files, and run the same command again"
+                    raise InputError(f"its mesh, maps or environment {problem}: {remedy}")
                 yield Message("draws", position)
                 with noting() as warned:
                     renderer = _renderer(job.image, settings.backend)

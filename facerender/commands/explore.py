@@ -20,7 +20,7 @@ from facerender.commands.scene import files_read, job_of, plays
 from facerender.errors import InputError
 from facerender.explorer.page import TERM_FACTORS, explorer_page
 from facerender.system.files import write_text
-from facerender.terms import LOBES
+from facerender.terms.lobe import LOBES
 
 _LOBE = "d16"
 

@@ -28,12 +28,12 @@ from facerender.scene.shading import Shading
 from facerender.system.files import check_writable, remove_abandoned
 from facerender.system.process import Bar
 from facerender.values.fields import (
+    SWITCH,
     Choice,
     IntegerRange,
     Limits,
     Range,
     SizeRange,
-    Switch,
     VectorRange,
     described,
     range_of,
@@ -127,7 +127,7 @@ def _add(group: Any, line: str, changes: Mapping[str, Mapping[str, Any]]) -> Non
         name, flags, (record, metavar) = line, [f"--{line.replace('_', '-')}"], _BY_NAME[line]
         option = described(record, name)
         limits = option["limits"]
-        if isinstance(limits, Switch):
+        if limits is SWITCH:
             both = argparse.BooleanOptionalAction
             # None, not False: an option that is not given must not replace the scene file's value.
             keywords = {"default": None, "action": both if option["default"] else "store_true"}

@@ -52,7 +52,7 @@ from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
 from facerender.scene.view import view_of
 from facerender.system.process import MIB, limit
-from facerender.terms import LOBES
+from facerender.terms.lobe import LOBES
 from facerender.values.fields import EXPOSURES, MEMORY, Range
 
 STANDARD_OUTPUT = "-"

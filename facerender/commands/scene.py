@@ -39,9 +39,8 @@ from facerender.scene.job import ImageSettings, Job, load_scene
 from facerender.scene.pose import Pose
 from facerender.scene.scene import Scene
 from facerender.system.files import check_file
-from facerender.texture.mips import Kind
-from facerender.values.fields import build
-from facerender.values.tables import merged
+from facerender.texture.texture import Kind
+from facerender.values.fields import build, merged
 from facerender.values.vectors import axes_of, numbers_in
 
 # Keys of a scene file's shading that a plan may have set, each with the options that it pins.

@@ -10,8 +10,7 @@ import textwrap
 from facerender.commands.options import add_options
 from facerender.commands.output import print_result
 from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
-from facerender.terms import LOBES
-from facerender.terms.lobe import SLOPES
+from facerender.terms.lobe import LOBES, SLOPES
 
 
 def add(shaders: argparse.ArgumentParser) -> None:

@@ -127,14 +127,11 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
         folders = (path for path in folder.iterdir() if not path.name.startswith("."))
         runs = sorted(path for path in folders if path.is_dir())
     except OSError as error:
-        raise InputError(
-            f"cannot read {folder}: {reason(error)}; give a folder with a subfolder for each run"
-        ) from None
+        remedy = "give a folder with a subfolder for each run"
+        raise InputError(f"cannot read {folder}: {reason(error)}; {remedy}") from None
     if len(runs) < 2:
-        raise InputError(
-            f"{folder} holds fewer than two subfolders: give one for each run or driver, with "
-            "images of the same names"
-        )
+        remedy = "give one for each run or driver, with images of the same names"
+        raise InputError(f"{folder} holds fewer than two subfolders: {remedy}")
     pairs = [pair for a, b in combinations(runs, 2) for pair in pairs_of(a, b)]
     return [(image.relative_to(folder).as_posix(), a, image) for _, a, image in pairs]
 
@@ -144,11 +141,8 @@ def calibration_of(
     mask: NDArray[Any] | None = None,
     progress: Progress = no_progress,
 ) -> list[Calibration]:
-    """Return limits that all pairs of images pass, separately for linear and for 8-bit images.
-
-    pairs : name, path of the reference and path of the image of each pair
-    mask : as in :func:`compare`
-    """
+    """Return limits that all pairs of images pass, separately for linear and for 8-bit images. A
+    pair has a name, and the paths of reference and image. The mask is as in :func:`compare`."""
     paths: dict[Encoding, list[list[Path]]] = {}
     least = dict(LIMITS)  # the smallest limits that all pairs pass
     needed: dict[Encoding, dict[str, str]] = {}  # the pair that needs each limit

@@ -347,10 +347,8 @@ class Pair:
             raise InputError(f"no heat map: {self.error}")
         height, width = a.pixels.shape[:2]
         if height * width > MAX_PIXELS:
-            raise InputError(
-                f"no heat map of {width} x {height} pixels: at most {MAX_PIXELS}; give smaller "
-                "images"
-            )
+            limit = f"at most {MAX_PIXELS}; give smaller images"
+            raise InputError(f"no heat map of {width} x {height} pixels: {limit}")
         save_png(path, heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
 
     @classmethod
@@ -362,11 +360,8 @@ class Pair:
         limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
         **options: Any,
     ) -> Pair:
-        """Compare two images; store the message of an ``InputError`` in ``error``.
-
-        limits : limits for options that are None, keyed by the images' encoding
-        options : options of :func:`compare`
-        """
+        """Compare two images with options of :func:`compare`; ``error`` has the message of an
+        ``InputError``. If options are None, ``limits`` apply, keyed by the images' encoding."""
         images: list[ImageData | None] = [None, None]
         failure = ""
         for number, source in enumerate((reference, image)):

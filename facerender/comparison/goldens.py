@@ -110,10 +110,9 @@ class Snapshot:
         golden = goldens_of(self._request.path) / f"{safe}.exr"
         owner = _owners(self._request.session).setdefault(str(golden).casefold(), node.nodeid)
         if owner != node.nodeid:
-            raise InputError(
-                f"{safe}.exr is also the golden of {owner}, at least on disks that ignore case: "
-                "rename a parameter or an image"
-            )
+            problem = f"{safe}.exr is also the golden of {owner}"
+            remedy = "rename a parameter or an image"
+            raise InputError(f"{problem}, at least on disks that ignore case: {remedy}")
         return golden
 
     def _refusal(
@@ -163,10 +162,9 @@ class Snapshot:
 def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
     image = as_image(source, "the image")
     if image.encoding != "linear":
-        raise InputError(
-            f"{image.name} is 8-bit, which is too coarse for a golden: give a Frame, floats or an "
-            "EXR file, or compare folders of PNG files with facerender compare"
-        )
+        problem = f"{image.name} is 8-bit, which is too coarse for a golden"
+        remedy = "compare folders of PNG files with facerender compare"
+        raise InputError(f"{problem}: give a Frame, floats or an EXR file, or {remedy}")
     if image.pixels.shape[2] < 3:
         raise InputError(f"{image.name} is grey: give RGB")
     return replace(image, metadata={"facerender": __version__, **image.metadata, **metadata})

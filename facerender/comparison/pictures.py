@@ -36,11 +36,8 @@ def flip_errors(reference: Pixels, image: Pixels) -> NDArray[np.float64]:
 
 
 def heat_map(reference: Pixels, image: Pixels, step: int = 1) -> NDArray[np.uint8]:
-    """Return the errors as 8-bit colours (H, W, 3), from black through red to pale yellow.
-
-    step : N if the images contain every Nth pixel of larger images; FLIP then treats each pixel as
-        N pixels wide
-    """
+    """Return the errors as 8-bit colours (H, W, 3), from black through red to pale yellow. If the
+    images contain every Nth pixel of larger images, with ``step`` N a pixel is N pixels wide."""
     colors = _evaluate(reference, image, magma=True, **({"ppd": PPD / step} if step > 1 else {}))
     return np.asarray(np.round(255.0 * colors.clip(0.0, 1.0)), dtype=np.uint8)
 
@@ -274,23 +271,19 @@ def sheet(
         for n, frame in differences.items()
     }
     images = [scaled.get(n, image) for n, image in enumerate(images)]
-    cells = [
-        displayed(
-            # A frame of a term has the colours of its PNG.
-            ImageData(source.srgb8(), "srgb8", f"image {number}")
-            if isinstance(source, Frame)
-            else as_image(source, f"image {number}")
-        )
-        for number, source in enumerate(images, 1)
-    ]
+    cells: list[Bytes] = []
+    for number, source in enumerate(images, 1):
+        name = f"image {number}"
+        if isinstance(source, Frame):  # a frame of a term has the colours of its PNG
+            source = ImageData(source.srgb8(), "srgb8", name)
+        cells.append(displayed(as_image(source, name)))
     if not cells:
         raise InputError("a sheet of 0 images: give at least one")
     for number, cell in enumerate(cells, 1):
         if cell.shape != cells[0].shape:
             sizes = (f"{width} x {height}" for height, width, _ in (cell.shape, cells[0].shape))
-            raise InputError(
-                f"image {number} is {' pixels, image 1 is '.join(sizes)}: give images of one size"
-            )
+            remedy = "give images of one size"
+            raise InputError(f"image {number} is {' pixels, image 1 is '.join(sizes)}: {remedy}")
     if titles is None:
         titles = [e.metadata.get("difference", "") if isinstance(e, Frame) else "" for e in images]
     texts = [titles] if isinstance(titles, str) else [*titles]

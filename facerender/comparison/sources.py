@@ -125,10 +125,8 @@ def both(reference: Comparable, image: Comparable) -> tuple[ImageData, ImageData
         values = f"{nans} NaN and {number_of(infinite, 'infinite value')}"
         if not nans + infinite:
             values = f"values beyond {HIGHEST:g}"
-        raise InputError(
-            f"{data.name} holds {values}, the first at pixel ({column}, {row}), channel {channel}: "
-            "repair its renderer"
-        )
+        first = f"the first at pixel ({column}, {row}), channel {channel}"
+        raise InputError(f"{data.name} holds {values}, {first}: repair its renderer")
     return a, b
 
 

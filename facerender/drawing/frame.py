@@ -29,8 +29,7 @@ from facerender.scene.scene import DATA, Only, Scene
 from facerender.scene.shading import Shading
 from facerender.scene.view import View, hidden
 from facerender.system.files import write_bytes
-from facerender.texture.mips import Kind
-from facerender.texture.texture import Texture
+from facerender.texture.texture import Kind, Texture
 from facerender.values.fields import EXPOSURES
 from facerender.values.vectors import Vector, unit
 
@@ -260,15 +259,13 @@ class Frame:
         """Emit the warning of :meth:`save`; repeated warnings are only noted."""
         if self.only in DATA or tone != "linear":
             return
-        limit, spared = np.float32(2.0**-exposure), 0
-        # A sample first: an exact count takes as long as the encoding, and few images clip.
-        for step in (math.isqrt(self.linear[..., 0].size) // 256 or 1, 1):
-            pixels = self.linear[::step, ::step]
-            values = pixels[(pixels[..., 3:] > _COVERED).all(axis=-1), :3].max(axis=-1)
-            spared = int(_CLIPPED * len(values))
-            count = np.count_nonzero(values > limit)
-            if count <= spared:
-                return
+        # A sample of at least 65,536 pixels: an exact count takes as long as the encoding.
+        step = math.isqrt(self.linear[..., 0].size) // 256 or 1
+        pixels = self.linear[::step, ::step]
+        values = pixels[(pixels[..., 3:] > _COVERED).all(axis=-1), :3].max(axis=-1)
+        spared, count = int(_CLIPPED * len(values)), np.count_nonzero(values > 2.0**-exposure)
+        if count <= spared:
+            return
         largest = float(np.partition(values, -1 - spared)[-1 - spared])
         stops = math.floor(-10.0 * math.log2(largest)) / 10.0
         (note if exposure in self.warned else warn)(

@@ -31,8 +31,7 @@ from facerender.scene.shading import Shading, Term
 from facerender.scene.view import View, levels_to_spare
 from facerender.system.process import MIB, limit
 from facerender.terms.model import slope_filtered, slope_variance_disc, slope_variance_map
-from facerender.texture.mips import Kind
-from facerender.texture.texture import LARGE, Texture
+from facerender.texture.texture import LARGE, Kind, Texture
 from facerender.values.vectors import Vector
 
 if TYPE_CHECKING:

@@ -215,7 +215,7 @@ class _Pixels:
                 sums[2 * row + 1] += weight
         seen_sums, weight_sums = sums[::2], np.maximum(sums[1::2], 1e-30)
         irradiance, specular = seen_sums / weight_sums
-        return irradiance, specular
+        return irradiance, specular * irradiance**2 * (3.0 - 2.0 * irradiance)
 
 
 def _parts(gbuffer: GBuffer, scene: Scene, term: Term) -> Iterator[_Pixels]:

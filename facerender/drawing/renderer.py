@@ -54,8 +54,8 @@ from facerender.scene.light import Light
 from facerender.scene.scene import DATA, ONLY, SHADING_RATES, Only, Scene, ShadingRate
 from facerender.scene.shading import Shading
 from facerender.scene.view import View, sample_grid, view_of
-from facerender.terms import AnyLobe
-from facerender.texture.mips import Kind
+from facerender.terms.lobe import AnyLobe
+from facerender.texture.texture import Kind
 from facerender.values.fields import MEMORY
 from facerender.values.vectors import Vector
 
@@ -377,13 +377,13 @@ class Renderer:
 
             of = self._with_cut(of) if names else of
             return self._draw(f"image {only}", of, names, make, view)
-        # Multisampling samples edges within a pixel, but shades once. Shifts over the whole pixel
-        # would sample the shading as one image per sample does, and blur the edges; shifts over
-        # three quarters have the smallest difference from such an image.
+        # Multisampling samples edges all over a pixel, but shades once. Shifts over the whole pixel
+        # would sample the shading evenly, and blur the edges; shifts over half a pixel are nearest
+        # to a larger image that is scaled down.
         most = self.context.most_samples
         count = math.ceil(of.samples / most)
         linear = np.zeros((*self.size[::-1], 4), dtype=np.float32)
-        for number, shift in enumerate(0.75 * sample_grid(count)):
+        for number, shift in enumerate(0.5 * sample_grid(count)):
             shifted = view.shifted(shift, self.size, number)
             one = self._structure(resolved, shifted, most, only is None, only != "specular")
             linear += self._radiance(one, resolved, shifted, only)[0]

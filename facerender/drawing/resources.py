@@ -30,8 +30,7 @@ from facerender.drawing.program import (
 from facerender.errors import ContextError, InputError
 from facerender.mesh.part import Area, Part, TriangleSetup
 from facerender.system.process import give_back, unload
-from facerender.texture.mips import Kind
-from facerender.texture.texture import Texture, Wrap
+from facerender.texture.texture import Kind, Texture, Wrap
 
 if TYPE_CHECKING:
     from facerender.scene.environment import Panorama

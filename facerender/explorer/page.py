@@ -31,12 +31,10 @@ from facerender.scene.light import LIGHT_KINDS, Light
 from facerender.scene.scene import AMBIENT, default_lights
 from facerender.scene.shading import SMALL_SLOPE, Shading, Term
 from facerender.scene.view import FRAMING_MARGIN, region_of, target_of
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
-from facerender.terms.lobe import MIN_SLOPE
-from facerender.texture.mips import Kind
-from facerender.texture.texture import Texture
-from facerender.values.fields import EXPOSURES, limits_of, plain, range_of
-from facerender.values.tables import toml_text
+from facerender.terms.lobe import LOBES, MIN_SLOPE, AnyLobe, GPower, lobe_entry
+from facerender.terms.model import FRESNEL, MASKING, MODELS
+from facerender.texture.texture import Kind, Texture
+from facerender.values.fields import EXPOSURES, limits_of, plain, range_of, toml_text
 
 STEPS = 2**16 - 1  # Positions: 2.6 micrometres each on a head.
 # Texels per side, which every WebGL 2 implementation supports.

@@ -17,8 +17,8 @@ from facerender.errors import InputError, check_known
 from facerender.glsl.includes import Includes, Preprocessor, decoded
 from facerender.scene.shading import SMALL_SLOPE, Term
 from facerender.system.files import data_dir
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe, GPower, lobe_entry
-from facerender.terms.lobe import SLOPES, TITLES, Entry
+from facerender.terms.lobe import LOBES, SLOPES, TITLES, AnyLobe, Entry, GPower, lobe_entry
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 
 if TYPE_CHECKING:
     import moderngl

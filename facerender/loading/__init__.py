@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     Map = Path_ | Texture | NDArray[Any] | Image
 else:
     MeshSource = Map = Any
-_Axes: TypeAlias = NDArray[np.float64] | None
 # The result of the search, so that the first image of the built-in head need not wait for it.
 _BUILT_IN_EYES = np.array([(-0.0308, 0.0007, 0.084), (0.0308, 0.0007, 0.084)])
 _BUILT_IN_FACE = Face(_BUILT_IN_EYES, np.eye(3)[1], np.eye(3)[2], 0.0616, 1.06)
@@ -402,7 +401,7 @@ def _pieces(
 
 @np.errstate(all="ignore")  # clean() drops faces whose vertices overflow
 def _assembled(
-    read: Callable[[_Axes], Sequence[Piece]],
+    read: Callable[[NDArray[np.float64] | None], Sequence[Piece]],
     name: str,
     millimetres: float | None,
     textures: Mapping[str, Texture],
@@ -434,10 +433,9 @@ def _mapped(mesh: Mesh, maps: Mapping[str, Texture], normal_map_y: str) -> Mesh:
     if there was no such map, of the albedo map."""
     parts, materials = [*mesh.parts], [*mesh.materials]
     if maps and all(parts[i].uv is None for i in mesh.skin):
-        raise InputError(
-            f"{mesh.name} has no texture coordinates, which {next(iter(maps.values())).name} "
-            "needs; unwrap the mesh, or render it without maps"
-        )
+        first, remedy = next(iter(maps.values())), "unwrap the mesh, or render it without maps"
+        problem = f"{mesh.name} has no texture coordinates, which {first.name} needs"
+        raise InputError(f"{problem}; {remedy}")
     for i in mesh.skin if maps else ():
         if parts[i].uv is None:
             warn(f"a part of {mesh.name} has no texture coordinates: it is drawn without maps")

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,15 +55,11 @@ _NOT_SKIN = {
 _SKIN = {"skin", "lid", "lids", "socket", "sockets"}
 # Names of MakeHuman's eyes, which are known in a file with lashes or teeth.
 _EYES = ("highpoly", "lowpoly", "highpolyeyes", "lowpolyeyes")
-
-
-@cache  # not computed for a mesh from the cache
-def _presets_by_letters() -> list[dict[str, str]]:
-    """Return the presets of words and of whole names, keyed by their letters in lower case."""
-    return [
-        {"".join(words_of(name)): preset for preset, text in names.items() for name in text.split()}
-        for names in (WORDS, WHOLE_NAMES)
-    ]
+# The presets of words and of whole names, keyed by their letters in lower case.
+_OF_WORDS, _OF_NAMES = (
+    {"".join(words_of(name)): preset for preset, text in names.items() for name in text.split()}
+    for names in (WORDS, WHOLE_NAMES)
+)
 
 
 def preset_for(name: str) -> str | None:
@@ -73,9 +68,8 @@ def preset_for(name: str) -> str | None:
     bare = [word for word in words if word not in _AFFIXES]
     stem = [word for word in bare if word not in _SIDES]
     of_eye = stem[1:] if stem[:1] in (["eye"], ["eyes"]) else stem
-    of_words, of_names = _presets_by_letters()
-    matches = [of_names.get("".join(candidate)) for candidate in (words, bare)]
-    matches += [of_words.get("".join(candidate)) for candidate in (stem, of_eye)]
+    matches = [_OF_NAMES.get("".join(candidate)) for candidate in (words, bare)]
+    matches += [_OF_WORDS.get("".join(candidate)) for candidate in (stem, of_eye)]
     return next(filter(None, matches), None)
 
 

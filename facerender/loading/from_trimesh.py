@@ -82,10 +82,8 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
         return [_colored(piece, vertex, face, owners, name)]
     if len(textures) == 1 or "texnumber" not in face:
         if len(textures) > 1:
-            warn(
-                f"{name} names {len(textures)} textures, but its faces have no texnumber: all get "
-                f"{clipped(textures[0], 60)}"
-            )
+            problem = f"names {len(textures)} textures, but its faces have no texnumber"
+            warn(f"{name} {problem}: all get {clipped(textures[0], 60)}")
         return [replace(piece, material=materials[0] or piece.material)]
     numbers = face["texnumber"].reshape(-1)[owners].astype(np.int64)
     pieces = []
@@ -139,9 +137,8 @@ def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
         if words[0] == "element":
             declared += int(words[2])
             if words[1] == "tristrips" and int(words[2]):
-                raise InputError(
-                    f"{name} has triangle strips, which are not supported; export it with triangles"
-                )
+                remedy = "export it with triangles"
+                raise InputError(f"{name} has triangle strips, which are not supported; {remedy}")
         elif (comment := TEXTURE_FILE.fullmatch(line)) is not None:
             textures.append(comment[1])
     # trimesh checks the number of bytes of a binary file, but not the number of lines of a text.
@@ -165,10 +162,8 @@ def _decoded_ply(data: bytes, name: str) -> list[_Columns]:
         raise
     except Exception as error:  # trimesh raises many exceptions for damaged files
         if "unexpected length" in str(error):
-            raise InputError(
-                f"{name} has faces with different numbers of corners, or lacks bytes: export it "
-                "with triangles only, or as text"
-            ) from None
+            problem = f"{name} has faces with different numbers of corners, or lacks bytes"
+            raise InputError(f"{problem}: export it with triangles only, or as text") from None
         raise ValueError(reason(error)) from None
     tables: list[_Columns] = []
     for element in ("vertex", "face"):

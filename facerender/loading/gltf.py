@@ -156,9 +156,8 @@ class _File:
     def _count_used(self, count: int) -> None:
         self.used += count
         if self.used > _TIMES * sum(self.stored.values()) + _MAX_REPEATED:
-            raise InputError(
-                f"{self.name} draws its geometry more than {_TIMES} times: export fewer instances"
-            )
+            remedy = "export fewer instances"
+            raise InputError(f"{self.name} draws its geometry more than {_TIMES} times: {remedy}")
 
     def _instances(self) -> dict[int, Sequence[Float | None]]:
         """Return the transforms of the instances of each visible node with a mesh, keyed by the
@@ -355,10 +354,9 @@ class Materials:
             if transform in (first, second):
                 maps[key] = self._map(map_name, *texture_infos[key])
             else:
-                self.warn(
-                    f"the {map_name} map of {self.name} needs a third set or transform of "
-                    "texture coordinates: ignored, because a material can have only two"
-                )
+                problem = "needs a third set or transform of texture coordinates"
+                cause = "a material can have only two"
+                self.warn(f"the {map_name} map of {self.name} {problem}: ignored, because {cause}")
         if not glossy and not unlit:
             self._look_for_metal(metallic)
         factor = glossy.get("diffuseFactor", metallic.get("baseColorFactor", [1.0] * 4))
@@ -475,10 +473,8 @@ class Materials:
         if source is None:
             basis = "KHR_texture_basisu" in texture.get("extensions", {})
             if not replaced:
-                self.warn(
-                    f"the {map_name} map of {self.name} has no image in a supported format"
-                    f"{' (KHR_texture_basisu)' * basis}: ignored"
-                )
+                problem = f"has no image in a supported format{' (KHR_texture_basisu)' * basis}"
+                self.warn(f"the {map_name} map of {self.name} {problem}: ignored")
             self.images[None] = None
         elif source not in self.images:
             self.images[source] = self._image(source, map_name, replaced)

@@ -124,10 +124,8 @@ class Buffers:
         buffer = self._buffer(view["buffer"])
         start, length = view.get("byteOffset", 0), view["byteLength"]
         if start + length > len(buffer):
-            raise ValueError(
-                f"{where} ends at byte {start + length} of buffers[{view['buffer']}], "
-                f"which has {len(buffer)}"
-            )
+            end = f"byte {start + length} of buffers[{view['buffer']}], which has {len(buffer)}"
+            raise ValueError(f"{where} ends at {end}")
         return buffer[start : start + length]
 
     def _elements(
@@ -145,9 +143,8 @@ class Buffers:
             return np.empty(shape, dtype=component)
         needed = start + stride * (shape[0] - 1) + row
         if needed > len(content):
-            raise ValueError(
-                f"{where} needs {needed} bytes of bufferViews[{view}], which has {len(content)}"
-            )
+            problem = f"needs {needed} bytes of bufferViews[{view}], which has {len(content)}"
+            raise ValueError(f"{where} {problem}")
         return np.ndarray(shape, component, content, start, (stride, component_size))
 
     def accessor(self, index: int, decoded: NDArray[Any] | None = None) -> NDArray[Any]:
@@ -218,15 +215,8 @@ _TIMES, _FEW, _MAX_WORDS = 8, 1 << 22, 1 << 28
 
 
 class Primitive:
-    """The triangles of a glTF primitive. Methods raise ValueError if the data are damaged.
-
-    where : the primitive's path in the document, for messages
-    positions : (N, 3), all vertices
-    targets : accessors of the morph targets, keyed by POSITION and, with normals, NORMAL
-    vertices : indices of the vertices that the faces use, or the slice of all vertices
-    faces : (F, 3), indices into ``positions[vertices]``
-    out_of_range : number of faces that were dropped because they use a missing vertex
-    """
+    """The triangles of a glTF primitive. Methods raise ValueError if the data are damaged. In
+    messages, ``where`` is the primitive's path in the document."""
 
     def __init__(self, buffers: Buffers, mesh: Doc, index: int, where: str) -> None:
         properties = mesh["primitives"][index]
@@ -235,17 +225,19 @@ class Primitive:
         self.extras = mesh.get("extras"), properties.get("extras")
         draco = properties.get("extensions", {}).get("KHR_draco_mesh_compression")
         self.decoded = {} if draco is None else self._draco(draco)
+        # Accessors of the morph targets, keyed by POSITION and, with normals, NORMAL
         keys = [key for key in ("POSITION", "NORMAL") if key in self.attributes]
         self.targets: list[dict[str, int]] = [
             {key: target[key] for key in keys if key in target}
             for target in properties.get("targets", ())
         ]
-        self.positions = self._attribute("POSITION", (3,))
+        self.positions = self._attribute("POSITION", (3,))  # (N, 3), all vertices
         faces = self._all_faces(properties.get("mode", TRIANGLES))
         valid = (faces < len(self.positions)).all(axis=1)
-        self.out_of_range = len(faces) - int(valid.sum())
+        self.out_of_range = len(faces) - int(valid.sum())  # number of dropped faces
+        # (F, 3), indices into ``positions[vertices]``
         self.faces = faces[valid] if self.out_of_range else faces
-        self.vertices: NDArray[np.int64] | slice = slice(None)
+        self.vertices: NDArray[np.int64] | slice = slice(None)  # the vertices that the faces use
         # Primitives may share a vertex array, so most of its vertices may belong to others.
         if len(self.positions) > 3 * len(self.faces):
             self.vertices, inverse = np.unique(self.faces, return_inverse=True)
@@ -446,10 +438,8 @@ class RigReader:
         rows: dict[str, tuple[Any, Any]] = dict.fromkeys(("POSITION", "NORMAL"), (None, None))
         try:
             for key, accessor in primitive.targets[index].items():
-                if _layout(self.document["accessors"][accessor])[1] != (
-                    len(primitive.positions),
-                    3,
-                ):
+                _, shape = _layout(self.document["accessors"][accessor])
+                if shape != (len(primitive.positions), 3):
                     where = f"{primitive.where}.targets[{index}]: {key}"
                     raise ValueError(f"{where} has the wrong number of entries")
                 rows[key] = indices, moves = self._read(accessor, moves=True)

@@ -139,10 +139,8 @@ def chunks(data: bytes, name: str) -> tuple[bytes, memoryview | None]:
     check_conversion(name, data, declared)
     if declared > len(data):
         expected = declared if len(data) >= 20 else "at least 20"
-        raise InputError(
-            f"{name} is truncated: it should have {expected} bytes, but has {len(data)}; copy it "
-            "again as binary data"
-        )
+        sizes = f"it should have {expected} bytes, but has {len(data)}"
+        raise InputError(f"{name} is truncated: {sizes}; copy it again as binary data")
     if version != 2:
         raise InputError(f"{name} is glTF version {version}: export it as version 2")
     contents: dict[int, memoryview] = {}
@@ -180,10 +178,8 @@ def check_conversion(name: str, data: bytes | memoryview, size: int) -> None:
 
 def _converted(name: str, how: str) -> InputError:
     suffix = PurePath(name).suffix or ".glb"
-    return InputError(
-        f"{name} is damaged, because it was converted as text ({how}): transfer it again as binary "
-        f"data; in Git, add '*{suffix} binary' to .gitattributes"
-    )
+    remedy = f"transfer it again as binary data; in Git, add '*{suffix} binary' to .gitattributes"
+    return InputError(f"{name} is damaged, because it was converted as text ({how}): {remedy}")
 
 
 def document_of(text: bytes, name: str) -> Doc:
@@ -203,9 +199,8 @@ def document_of(text: bytes, name: str) -> Doc:
         raise InputError(f"{name} has no mesh; give a file with a triangle mesh")
     for key in properties:
         if (count := _count(document, key)) > _MAX_ENTRIES:
-            raise InputError(
-                f"{name} has {count} {key}, but the limit is {_MAX_ENTRIES}: simplify it"
-            )
+            remedy = "simplify it"
+            raise InputError(f"{name} has {count} {key}, but the limit is {_MAX_ENTRIES}: {remedy}")
     try:
         valid = checked(document, "document", "", document)
     except ValueError as error:

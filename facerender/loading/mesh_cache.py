@@ -30,8 +30,7 @@ from facerender.material import MAPS, PROPERTY_MAPS, Material
 from facerender.mesh.mesh import Mesh
 from facerender.system import cache
 from facerender.system.files import data_dir, digest_of
-from facerender.texture.mips import Kind, Levels
-from facerender.texture.texture import LARGE, Texture, pack
+from facerender.texture.texture import LARGE, Kind, Levels, Texture, pack
 
 _FOLDER = "meshes"
 _ALIGNMENT = 64
@@ -55,11 +54,8 @@ _MODULES = {
 def entry_name(
     source: Source, maps: Mapping[str, tuple[str, bytes]], options: Sequence[Any]
 ) -> str:
-    """Return the name of the cache entry of a mesh.
-
-    maps : name and content of the image files that replace maps, keyed by the field of Material
-    options : values of a MeshFile on which the mesh depends
-    """
+    """Return the name of the cache entry of a mesh, from name and content of the image files that
+    replace maps, keyed by the field of Material, and from the MeshFile's values."""
     names = [source.path.name, *((field, name) for field, (name, _) in maps.items())]
     inputs = __version__, _code(), names, source.suffix, options
     return digest_of(repr(inputs), source.content, *(content for _, content in maps.values()))
@@ -94,12 +90,8 @@ def store(
     warnings: Sequence[str],
 ) -> None:
     """Decode the maps and write the mesh to the cache in a thread. The process does not end before
-    this thread.
-
-    files : contents of the files to which the mesh file refers, keyed by their names in it; None
-        for a missing file
-    has_albedo : whether the caller replaced the albedo map
-    """
+    this thread. For ``files`` see :class:`References`; ``has_albedo`` is true if the caller
+    replaced the albedo map."""
     maps = (getattr(material, field) for material in mesh.materials for field in MAPS)
     # The warning of a missing image depends on other files in the mesh's folder. Storing large maps
     # would decode them at full resolution.
@@ -133,11 +125,8 @@ def _code() -> list[tuple[str, int, int]]:
     paths = [Path(spec.origin) for spec in specs if spec and spec.origin]
     for folder in ("images", "loading", "mesh", "texture", "values"):
         paths += sorted((_PACKAGE / folder).glob("*.py"))
-    paths += [
-        _PACKAGE / "material.py",
-        _PACKAGE / "system/files.py",
-        data_dir("assets") / "relief.npy",
-    ]
+    paths += [_PACKAGE / "material.py", _PACKAGE / "system/files.py"]
+    paths.append(data_dir("assets") / "relief.npy")
     files = ((path, path.stat()) for path in paths)
     return [(str(path), status.st_size, status.st_mtime_ns) for path, status in files]
 

@@ -96,10 +96,8 @@ def source_of(source: Any, kind: str | None = None) -> Source:
         folder = path.parent if os.path.isfile(path) else None
         source = _content(source, path.name)
     if not isinstance(source, bytes | bytearray | memoryview):
-        raise InputError(
-            f"mesh file = {quoted(source)}: give a path, bytes, an open file, or a trimesh mesh or "
-            "scene"
-        )
+        remedy = "give a path, bytes, an open file, or a trimesh mesh or scene"
+        raise InputError(f"mesh file = {quoted(source)}: {remedy}")
     content = bytes(source)
     if suffix is None and (suffix := _suffix_of(content, path)) is None:
         if from_path:
@@ -178,25 +176,18 @@ _WINDOWS = {byte: bytes([byte]).decode("cp1252", "ignore") or chr(byte) for byte
 class References:
     """The files that a mesh file refers to. Each referenced file is read once.
     Only paths below the mesh file's folder are opened. For other paths, a file of the same name in
-    that folder is tried. Symbolic links are followed, because the user created the folder.
-
-    folder : folder of the mesh file; None for a mesh in memory: its referenced files are not opened
-    files : contents of the referenced files, keyed by the name in the mesh file; None for a file
-        that was not read
-    """
+    that folder is tried. Symbolic links are followed, because the user created the folder."""
 
     name: str
-    folder: Path | None
+    folder: Path | None  # folder of the mesh file; None for a mesh in memory, which opens no files
     allow_outside: bool
+    # Contents of the files, keyed by the name in the mesh file; None for a file that was not read.
     files: dict[str, bytes | None] = dataclasses.field(default_factory=dict, init=False)
 
     def read(self, name: str, what: str) -> bytes:
         """Return the content of a file. Raise FileNotFoundError if it is missing or its path is not
-        allowed, InputError if it is not a regular file or all files together are too large.
-
-        name : name of the file, as in the mesh file
-        what : description of the expected file for messages, such as "an image file"
-        """
+        allowed, InputError if it is not a regular file or all files together are too large. In
+        messages, ``what`` describes the expected file."""
         if (cached := self.files.get(name)) is not None:
             return cached
         self.files[name] = None
@@ -204,10 +195,8 @@ class References:
             raise FileNotFoundError(self.why_not(name))
         if path not in (self.folder / spelling for spelling in _spellings(name)):
             used = os.path.relpath(path, self.folder)
-            warn(
-                f"{clipped(name, 80)} (named by {self.name}) not found: {clipped(used, 80)} is "
-                "used, whose name differs in upper and lower case"
-            )
+            result = f"{clipped(used, 80)} is used, whose name differs in upper and lower case"
+            warn(f"{clipped(name, 80)} (named by {self.name}) not found: {result}")
         remaining = MAX_FILE_BYTES - sum(map(len, filter(None, self.files.values())))
         content = self.files[name] = read_file(path, what, remaining)
         return content
@@ -370,10 +359,8 @@ def is_image(
 def missing_image(referred: References, name: str) -> None:
     """Warn of a missing image, and suggest the albedo map in the mesh file's folder."""
     hint = f"pass --albedo {_albedo_in(referred.folder)[1]}"
-    warn(
-        f"{clipped(name, 80)} (named by {referred.name}) "
-        f"{referred.why_not(name)}: rendering without it; {hint}"
-    )
+    result = f"rendering without it; {hint}"
+    warn(f"{clipped(name, 80)} (named by {referred.name}) {referred.why_not(name)}: {result}")
 
 
 def unused_maps(name: str, folder: Path) -> None:

@@ -2,6 +2,6 @@
 weigh when they choose a lobe for their machine and roughness.
 
 ``measurement`` draws a mesh with each variant of a term and returns the content of measure.json as
-plain data. ``chart`` ranks the variants by cost and error and draws the trade-off, and ``report``
-writes JSON, images and page. All variants of a model are timed in turns within one process: times
-of different runs are never compared."""
+plain data. ``report`` ranks the variants by cost and error, and writes JSON, images and page. All
+variants of a model are timed in turns within one process: times of different runs are never
+compared."""

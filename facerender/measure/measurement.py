@@ -31,7 +31,7 @@ from facerender.scene.camera import Camera
 from facerender.scene.scene import Scene
 from facerender.scene.shading import SMALL_SLOPE, Shading
 from facerender.system.process import Progress, no_progress
-from facerender.terms import LOBES
+from facerender.terms.lobe import LOBES
 
 SCHEMA = "facerender.measure/2"
 MODELS = PRINTED
@@ -111,8 +111,7 @@ def image_errors(
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.coverage > 0.0
-    compared: list[NDArray[np.floating]] = [*images]
-    compared += [shade(gbuffer, scene, shading) for shading in undrawn]
+    compared: list[NDArray[np.floating]] = [*images, *(shade(gbuffer, scene, x) for x in undrawn)]
     return reference, images, [image_error(image, reference, covered) for image in compared]
 
 
@@ -225,7 +224,7 @@ def _model(
     if not settings["quick"]:
         lobe_ns = cost.by_slope(lobe_terms(model), cost.OF_COSINE, repeats, backend, step("lobes"))
     inside = [variant for variant in of_model(model) if _inside(variant, m)]
-    rendered = [variant for variant in inside if variant.standard]
+    rendered = [variant for variant in inside if not (variant.printed or variant.plain)]
     undrawn = [variant for variant in inside if variant.unclamped]
     # The slope filter is off, since it may raise m above the lobe's domain. The m of other parts
     # than the skin may be outside.

@@ -46,11 +46,8 @@ _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 def framing_of(
     parts: Sequence[Part], space: Space, profile: Float, face: Face | None = None
 ) -> Framing:
-    """Find the face of a mesh and its regions.
-
-    parts, space, profile : see :class:`facerender.mesh.geometry.Geometry`
-    face : in mesh space, if it is known
-    """
+    """Find the face of a mesh, unless it is known, and its regions. For the parameters see
+    :class:`facerender.mesh.geometry.Geometry`."""
     corners = [space.normalised(part.positions)[part.faces] for part in parts]
     surface, source, clear = Surface(np.concatenate(corners)), "", True
     points = np.ascontiguousarray(surface.corners.reshape(-1, 3).T)

@@ -75,29 +75,21 @@ class Corners:
 @dataclass(frozen=True, eq=False)
 class Geometry:
     """The parts of a mesh in the reference pose. All meshes that differ only in materials or in the
-    pose share it.
-
-    bounds : (2, 3) float64, lowest and highest coordinates of the vertices that faces use
-    radius : largest distance of a face's vertex from the centre of the bounds
-    profile : (K, 2) float64, outline of the solid that the mesh sweeps when it rotates about the
-        vertical axis through the centre of the bounds: distance from the axis and height, in the
-        renderer's space
-    millimetres : millimetres per unit of mesh space, needed for scattering; None if unknown
-    known_framing : result of :attr:`framing` if it is known, as from the cache; None to compute it
-    rotation : (3, 3), for column vectors, from the axes of the file to mesh space; None if they are
-        equal. See :func:`facerender.load_mesh`
-    gloss : for each part, the highlight of the material in the file; None if the mesh was not
-        loaded. Hints name only these highlights, see :func:`facerender.mesh.hints.gloss_of`
-    """
+    pose share it."""
 
     name: str
     parts: tuple[Part, ...]
-    bounds: Float
-    radius: float
+    bounds: Float  # (2, 3), lowest and highest coordinates of the vertices that faces use
+    radius: float  # largest distance of a face's vertex from the centre of the bounds
+    # (K, 2), outline of the solid that the mesh sweeps when it rotates about the vertical axis
+    # through the centre of the bounds: distance from the axis and height, in the renderer's space.
     profile: Float
-    millimetres: float | None = None
-    known_framing: Framing | None = None
+    millimetres: float | None = None  # per unit of mesh space, for scattering; None if unknown
+    known_framing: Framing | None = None  # as from the cache; None to compute :attr:`framing`
+    # (3, 3), for column vectors, from the axes of the file to mesh space; None if they are equal.
     rotation: Float | None = None
+    # For each part, the highlight of the material in the file; None if the mesh was not loaded.
+    # Hints name only these highlights, see :func:`facerender.mesh.hints.gloss_of`.
     gloss: tuple[Any, ...] | None = None
 
     __getstate__ = parameters
@@ -170,15 +162,11 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class MeshPose:
-    """Moved vertices of a geometry.
-
-    parts : the parts of the geometry, of which some have other positions and normals
-    bounds : bounds of the geometry, moved with the head if the framing follows it
-    """
+    """Moved vertices of a geometry."""
 
     geometry: Geometry
-    parts: tuple[Part, ...]
-    bounds: Float
+    parts: tuple[Part, ...]  # the geometry's parts, some with other positions and normals
+    bounds: Float  # bounds of the geometry, moved with the head if the framing follows it
 
     __getstate__ = parameters
 
@@ -221,11 +209,8 @@ class MeshPose:
 
 
 def are_closed(parts: Sequence[Part]) -> list[bool]:
-    """Return, for each part, whether no back face of it is visible from outside.
-
-    These parts belong to surfaces that are closed, wound consistently, and wound outwards. A
-    surface may have several parts.
-    """
+    """Return, for each part, whether no back face of it is visible from outside: it belongs to a
+    surface, perhaps of several parts, that is closed, wound consistently, and wound outwards."""
     positions, faces, welded, _ = stacked(parts)
     owners = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     corners, points = welded[faces], positions[faces]

@@ -55,8 +55,7 @@ def emit_all(mesh: Mesh) -> None:
 
     # The maps are compared apart from the materials, because m changes more often.
     maps = [(m.albedo_map, m.normal_map, m.alpha) for m in materials]
-    of_maps = lambda: {hint: hint(mesh) for hint in (upside_down, green_down)}  # noqa: E731
-    hints = derived.of("map hints", maps, of_maps)
+    hints = derived.of("map hints", maps, lambda: {h: h(mesh) for h in (upside_down, green_down)})
     for hint, line in {**hints, **derived.of("hints", materials, of_highlights)}.items():
         emit(mesh, hint, line)
 
@@ -102,11 +101,9 @@ def upside_down(mesh: Mesh, decode: bool = False) -> str | None:
             best = max(best, agreement, key=lambda pair: pair[1] - pair[0])
     if not any(best):
         return None
-    return (
-        f"the texture coordinates of {mesh.name} are probably upside down (agreement with the "
-        f"map: {best[0]:.2f}, with reversed v: {best[1]:.2f}): give --flip-v (flip_v=True), or "
-        "leave it out if you gave it"
-    )
+    scores = f"agreement with the map: {best[0]:.2f}, with reversed v: {best[1]:.2f}"
+    problem = f"the texture coordinates of {mesh.name} are probably upside down ({scores})"
+    return f"{problem}: give --flip-v (flip_v=True), or leave it out if you gave it"
 
 
 def _agreements(pieces: _Pieces, image: NDArray[np.uint8]) -> Iterator[Sequence[float]]:
@@ -241,10 +238,9 @@ def green_down(mesh: Mesh, decode: bool = False) -> str | None:
         clear = (np.abs(across) > 0.02) & (np.abs(along) > 0.02)
         opposite = float((across[clear] * along[clear] < 0.0).mean()) if clear.any() else 0.0
         if clear.mean() >= 0.03 and opposite >= 0.65:
-            return (
-                f"the green of {texture.name} probably points down (for {opposite:.0%} of its "
-                "relief): give --normal-map-y down (normal_map_y='down')"
-            )
+            share = f"for {opposite:.0%} of its relief"
+            remedy = "give --normal-map-y down (normal_map_y='down')"
+            return f"the green of {texture.name} probably points down ({share}): {remedy}"
     return None
 
 
@@ -270,10 +266,8 @@ def faint(mesh: Mesh, decode: bool = False) -> str | None:
         return None
     _, ks, m = max((areas[i], slopes[i][0].ks, slopes[i][1]) for i in dull)
     remedies = [f"--ks {skin.ks:g}"] * (ks < 0.5) + [f"--m {skin.m:g}"] * (m > 2.0 * skin.m)
-    return (
-        f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: give "
-        f"{' '.join(remedies or [f'--f0 {skin.f0:g}'])} for skin"
-    )
+    remedy = f"give {' '.join(remedies or [f'--f0 {skin.f0:g}'])} for skin"
+    return f"{mesh.name} has no visible highlight with ks {ks:.2g} and m {m:.2g}: {remedy}"
 
 
 def no_ks(mesh: Mesh) -> str | None:
@@ -309,11 +303,10 @@ def too_clear(mesh: Mesh, threshold: float) -> str | None:
     ]
     if not names:
         return None
-    return (
-        f"data images and landmarks omit parts of {mesh.name} whose opacity is below "
-        f"{threshold:g} everywhere: {clipped(', '.join(names), 200)}; give a lower "
-        "--alpha-threshold to include them"
-    )
+    problem = f"parts of {mesh.name} whose opacity is below {threshold:g} everywhere"
+    remedy = "give a lower --alpha-threshold to include them"
+    listing = clipped(", ".join(names), 200)
+    return f"data images and landmarks omit {problem}: {listing}; {remedy}"
 
 
 def millimetres_of(mesh: Mesh) -> tuple[float, bool] | None:
@@ -377,10 +370,7 @@ def turned(mesh: Mesh) -> str | None:
 
 
 def guessed(mesh: Mesh, frame: str) -> str | None:
-    """Return a hint if a camera frames a face that was not found on the surface.
-
-    frame : region that a camera frames
-    """
+    """Return a hint if a camera frames a region of a face that was not found on the surface."""
     framing = mesh.geometry.framing
     if framing.face is not None or mesh.regions[frame] is None:
         return None

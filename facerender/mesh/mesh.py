@@ -396,10 +396,8 @@ def slope_range(part: Part, material: Material) -> tuple[float, float]:
 
 def warn_of_one_lobe(name: str, field: str) -> None:
     """Warn that a field of the second lobe has no effect on the mesh of this name."""
-    warn(
-        f"{field} has no effect on {name}, because a second lobe needs a second_slope other than 1 "
-        "and a lobe_weight below 1: give both, such as 0.333 and 0.85"
-    )
+    cause = "a second lobe needs a second_slope other than 1 and a lobe_weight below 1"
+    warn(f"{field} has no effect on {name}, because {cause}: give both, such as 0.333 and 0.85")
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:

@@ -89,11 +89,8 @@ def _values(vertices: NDArray[np.float64], faces: Numbers, cache: bool) -> NDArr
 def _open_fraction(
     positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
 ) -> NDArray[np.float64]:
-    """Return the fraction of ambient light that reaches each vertex, in [0, 1].
-
-    vertices : rows (N, 6) of position and normal
-    corners : (F, 3), the index into ``vertices`` for each corner of ``faces``
-    """
+    """Return the fraction of ambient light that reaches each vertex, in [0, 1]. ``vertices`` has
+    rows (N, 6) of position and normal, to which ``corners``, (F, 3), refer for each face."""
     missing = "baking occlusion needs the package embreex; pip install 'facerender[rays]'"
     scene = optional("embreex.rtcore_scene", missing).EmbreeScene()
     construction = optional("embreex.mesh_construction", missing)

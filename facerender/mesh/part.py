@@ -32,16 +32,11 @@ def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 class Space(NamedTuple):
-    """The renderer's space, in which a sphere around the mesh is the unit sphere.
+    """The renderer's space, in which a sphere around the mesh is the unit sphere."""
 
-    center : centre of the sphere, in mesh space
-    radius : radius of the sphere, in mesh units
-    reach : radius of a sphere around all vertices of a pose, in the renderer's space; at least 1
-    """
-
-    center: tuple[float, ...]
-    radius: float
-    reach: float = 1.0
+    center: tuple[float, ...]  # centre of the sphere, in mesh space
+    radius: float  # radius of the sphere, in mesh units
+    reach: float = 1.0  # radius of a sphere around all vertices of a pose; at least 1
 
     def normalised(self, points: ArrayLike) -> Float:
         """Map points (..., 3) from mesh space. Computes in float64: in float32, large offsets and
@@ -51,44 +46,28 @@ class Space(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Triangles of one material, in mesh space.
+    """Triangles of one material, in mesh space."""
 
-    positions : (N, 3) float64
-    normals : (N, 3) float64, unit vectors
-    faces : (F, 3) uint32, counter-clockwise seen from outside
-    uv : (N, 2) float64 with v upwards, or None
-    colors : (N, 3) linear RGB, or None
-    occlusion : (N,) in [0, 1], fraction of uniform ambient light that reaches a vertex, or None;
-        see :func:`facerender.with_occlusion`
-    uv2 : (N, 2) float64, second texture coordinates for the maps that
-        :attr:`Material.second_uv` names, or None
-    head : (2, 3) float64, bounds of the vertices that follow a head joint of the file's skin, or
-        None; camera framing uses them
-    name : name from the file, or ""; see docs/formats.md
-    skin : False for eyes, lashes, teeth and hair, by the names of the part and its material
-    sources : (N,) index of each vertex in the vertices of the mesh's file or arrays, which texture
-        seams do not split; None if each vertex of the part has its own
-    source_count : number of these vertices of the file or arrays
-    rig : data of the poses of a glTF file; None for a part that cannot be posed
-    preset : name of the preset that the part got by its name when it was loaded, or ""
-    ks_ignored : whether the part's MTL file has Ks 0, which was loaded as ks 1
-    """
-
-    positions: Float
-    normals: Float
-    faces: NDArray[np.uint32]
-    uv: Float | None = None
-    colors: Float | None = None
+    positions: Float  # (N, 3)
+    normals: Float  # (N, 3), unit vectors
+    faces: NDArray[np.uint32]  # (F, 3), counter-clockwise seen from outside
+    uv: Float | None = None  # (N, 2) with v upwards
+    colors: Float | None = None  # (N, 3) linear RGB
+    # (N,) in [0, 1], fraction of uniform ambient light that reaches a vertex; see
+    # :func:`facerender.with_occlusion`.
     occlusion: Float | None = None
-    uv2: Float | None = None
+    uv2: Float | None = None  # (N, 2), for the maps that :attr:`Material.second_uv` names
+    # (2, 3), bounds of the vertices that follow a head joint of the file's skin, for the framing.
     head: Float | None = None
-    name: str = ""
-    skin: bool = True
+    name: str = ""  # name from the file; see docs/formats.md
+    skin: bool = True  # false for eyes, lashes, teeth and hair, by the names of part and material
+    # (N,) index of each vertex in the vertices of the mesh's file or arrays, which texture seams do
+    # not split; None if each vertex of the part has its own.
     sources: NDArray[np.integer] | None = None
-    source_count: int = 0
-    rig: Rig | None = None
-    preset: str = ""
-    ks_ignored: bool = False
+    source_count: int = 0  # number of these vertices of the file or arrays
+    rig: Rig | None = None  # data of the poses of a glTF file; None if the part cannot be posed
+    preset: str = ""  # name of the preset that the part got by its name when it was loaded
+    ks_ignored: bool = False  # whether the part's MTL file has Ks 0, which was loaded as ks 1
 
     def __repr__(self) -> str:
         has = [n for n in ("uv", "uv2", "colors", "occlusion") if getattr(self, n) is not None]
@@ -120,15 +99,11 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """An upright cylinder around the head or face of a mesh, in the renderer's space.
+    """An upright cylinder around the head or face of a mesh, in the renderer's space."""
 
-    center : (3,) float64
-    radius, height : half the width and half the height of the cylinder
-    """
-
-    center: Float
-    radius: float
-    height: float
+    center: Float  # (3,)
+    radius: float  # half the width of the cylinder
+    height: float  # half the height
 
     @property
     def profile(self) -> Float:
@@ -163,17 +138,14 @@ class Face:
 
 @dataclass(frozen=True, eq=False)
 class Framing:
-    """The face of a geometry, and what cameras frame.
+    """The face of a geometry, and what cameras frame."""
 
-    face : in mesh space; None if no face is found
-    regions : "head", "face", "eyes" and "auto", in the renderer's space. "auto" is the head if the
-        mesh is clearly larger than a head, and otherwise None: the whole mesh
-    source : of the regions if no face is found, for a warning: "the names of its parts" or
-        "its outline"; "" if there is a face, or nothing that may be a head
-    """
-
-    face: Face | None
+    face: Face | None  # in mesh space; None if no face is found
+    # "head", "face", "eyes" and "auto", in the renderer's space. "auto" is the head if the mesh is
+    # clearly larger than a head, and otherwise None: the whole mesh.
     regions: Mapping[str, Region | None]
+    # Source of the regions if no face is found, for a warning: "the names of its parts" or "its
+    # outline"; "" if there is a face, or nothing that may be a head.
     source: str
 
 
@@ -201,12 +173,8 @@ class Area(NamedTuple):
 def face_normals(
     columns: NDArray[Any], faces: NDArray[Any]
 ) -> tuple[NDArray[Any], list[NDArray[Any]]]:
-    """Return the first corner and the normal of each triangle, (3, F). The length of a normal is
-    twice the triangle's area.
-
-    columns : x, y and z of the vertices, (3, N)
-    faces : (3, F)
-    """
+    """Return the first corner and the normal of each triangle, (3, F), from x, y and z of the
+    vertices, (3, N). The length of a normal is twice the triangle's area."""
     a, b, c = (columns.take(corner, axis=1) for corner in faces)
     (ux, uy, uz), (vx, vy, vz) = b - a, c - a
     return a, [uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx]
@@ -214,16 +182,11 @@ def face_normals(
 
 @dataclass(frozen=True, eq=False)
 class TriangleSetup:
-    """The triangles of a part in the renderer's space, as the GPU gets them.
+    """The triangles of a part in the renderer's space, as the GPU gets them."""
 
-    vertices : (N, 6) float32, vertex positions in the renderer's space, and normals
-    faces : (F, 3) uint32, indices of vertices
-    positions : (N, 3), the vertex positions alone
-    """
-
-    vertices: NDArray[np.float32]
-    faces: NDArray[np.uint32]
-    positions: NDArray[np.float32] = field(init=False)
+    vertices: NDArray[np.float32]  # (N, 6), vertex positions in the renderer's space, and normals
+    faces: NDArray[np.uint32]  # (F, 3), indices of vertices
+    positions: NDArray[np.float32] = field(init=False)  # (N, 3), the vertex positions alone
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", self.vertices[:, :3])

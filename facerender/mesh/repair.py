@@ -32,12 +32,7 @@ VERTEX_ARRAYS = ("positions", "normals", "uv", "uv2", "colors")
 
 @dataclass
 class Piece:
-    """A :class:`Part` before repair. Normals may be missing and faces may be bad.
-
-    out_of_range : number of faces that the loader dropped for invalid vertex indices
-    name : name from the file; not necessarily unique
-    material_name : name of the material in the file, or ""
-    """
+    """A :class:`Part` before repair. Normals may be missing and faces may be bad."""
 
     positions: Float
     faces: Integers
@@ -45,10 +40,10 @@ class Piece:
     uv: Float | None = None
     colors: Float | None = None
     material: Material = Material()
-    out_of_range: int = 0
-    name: str = ""
+    out_of_range: int = 0  # number of faces that the loader dropped for invalid vertex indices
+    name: str = ""  # name from the file; not necessarily unique
     uv2: Float | None = None
-    material_name: str = ""
+    material_name: str = ""  # name of the material in the file
     head: Float | None = None
     skin: bool = True
     sources: NDArray[np.integer] | None = None
@@ -105,11 +100,8 @@ def placed(piece: Piece, transform: Float) -> Piece:
 
 
 def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
-    """Return a piece with other faces and copies of its vertices.
-
-    faces : (F, 3), indices into ``vertices``
-    vertices : (N,), indices of vertices of the piece; an index may occur more than once
-    """
+    """Return a piece with other faces, (F, 3), which are indices into ``vertices``, (N,). These are
+    indices of vertices of the piece, which are copied; an index may occur more than once."""
     columns = ((name, getattr(piece, name)) for name in VERTEX_ARRAYS)
     arrays = {name: values[vertices] for name, values in columns if values is not None}
     sources = vertices if piece.sources is None else piece.sources[vertices]
@@ -142,10 +134,8 @@ def indices_of(
 
 
 def split_at_seams(piece: Piece, uv: Float, indices: ArrayLike) -> Piece:
-    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses.
-
-    indices : uv_faces of :meth:`facerender.Mesh.from_arrays`
-    """
+    """Return a piece with a vertex for each pair of a vertex and a row of uv that a corner uses;
+    for ``indices`` see uv_faces of :meth:`facerender.Mesh.from_arrays`."""
     uv_faces = indices_of("uv_faces", indices, len(uv), "row", "uv_faces use row")
     if len(uv_faces) != len(piece.faces):
         remedy = f"give {len(piece.faces)}, one for each face"
@@ -274,11 +264,10 @@ def _check_extent(pieces: Sequence[Piece], name: str) -> None:
     far = distances > max(32.0 * near, _TINY)
     if far.any():
         x, y, z = points[np.argmax(distances)]
-        warn(
-            f"{name} has {int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g}); "
-            f"90 % are within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)}) and will "
-            "appear tiny: remove the outer vertices"
-        )
+        outer = f"{int(far.sum())} vertices far out, one at ({x:.4g}, {y:.4g}, {z:.4g})"
+        others = f"within {near:.4g} of ({', '.join(f'{v:.4g}' for v in middle)})"
+        remedy = "remove the outer vertices"
+        warn(f"{name} has {outer}; 90 % are {others} and will appear tiny: {remedy}")
 
 
 def _drop_bad_uv(pieces: Sequence[Piece], name: str) -> None:

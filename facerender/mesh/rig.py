@@ -38,16 +38,12 @@ class Node:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
-    """Keys of one property, the path, of the node with an index.
-
-    times : (K,) float64, in seconds, in increasing order
-    values : (K, W); (K, 3, W) with in-tangent, value and out-tangent for a cubic spline
-    """
+    """Keys of one property, the path, of the node with an index."""
 
     node: int
     path: Path
-    times: Float
-    values: Array
+    times: Float  # (K,), in seconds, in increasing order
+    values: Array  # (K, W); (K, 3, W) with in-tangent, value and out-tangent for a cubic spline
     interpolation: Interpolation = "LINEAR"
 
     def at(self, time: float) -> list[float]:
@@ -94,17 +90,12 @@ def _slerp(a: list[float], b: list[float], u: float) -> list[float]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Clip:
-    """An animation: tracks of different properties.
+    """An animation: tracks of different properties."""
 
-    name : name from the file, unique among the clips of the file
-    fault : description of the damage if the clip is damaged, which then has no tracks
-    ignored : name of the extension that the clip needs and this package ignores, or ""
-    """
-
-    name: str
+    name: str  # name from the file, unique among the clips of the file
     tracks: tuple[Track, ...] = ()
-    fault: str = ""
-    ignored: str = ""
+    fault: str = ""  # description of the damage if the clip is damaged, which then has no tracks
+    ignored: str = ""  # name of the extension that the clip needs and this package ignores
 
     @property
     def duration(self) -> float:
@@ -165,36 +156,24 @@ class Skeleton:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Shape:
-    """A morph target of a part. Vertices that do not move are left out.
+    """A morph target of a part. Vertices that do not move are left out."""
 
-    name : name from the file, or shape1, shape2...
-    rows, moves : indices (M,) of the vertices that move, and their displacements (M, 3)
-    normal_rows, normal_moves : the same for the normals; None if the file has none for this target
-    fault : description of the damage if the target is damaged, which then moves nothing
-    """
-
-    name: str
-    rows: Array | None = None
-    moves: Array | None = None
-    normal_rows: Array | None = None
+    name: str  # name from the file, or shape1, shape2...
+    rows: Array | None = None  # indices (M,) of the vertices that move
+    moves: Array | None = None  # their displacements (M, 3)
+    normal_rows: Array | None = None  # as rows; None if the file has no normals for this target
     normal_moves: Array | None = None
-    fault: str = ""
+    fault: str = ""  # description of the damage if the target is damaged, which moves nothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Skin:
-    """The joints that move a part.
+    """The joints that move a part."""
 
-    joints : indices of the nodes
-    inverse : (J, 4, 4), inverse bind matrices; None: unit matrices
-    indices, weights : (K, N), K joints of each vertex as indices into ``joints``, and weights,
-        which add up to 1
-    """
-
-    joints: tuple[int, ...]
-    inverse: Float | None
-    indices: Array
-    weights: Float
+    joints: tuple[int, ...]  # indices of the nodes
+    inverse: Float | None  # (J, 4, 4), inverse bind matrices; None: unit matrices
+    indices: Array  # (K, N), K joints of each vertex as indices into ``joints``
+    weights: Float  # (K, N), their weights, which add up to 1
 
     @classmethod
     def of(
@@ -213,29 +192,20 @@ class Skin:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Rig:
-    """The data that move the vertices of a part.
+    """The data that move the vertices of a part."""
 
-    skeleton : nodes and clips, shared by the parts of a file
-    node : index of the node whose mesh the part belongs to
-    positions : (N, 3), in the node's space, before morph targets
-    normals : (N, 3), as the positions, vectors of any length; None until the file's reader computes
-        missing normals, see :meth:`with_normals`
-    weights : stored weights of the shapes
-    placed : whether the node places the part; false with a skin
-    offset : (4, 4), transform of an instance within the node's space; None: no transform
-    sign : 1, or -1 if the normals have to be reversed, because the file's faces are inside out
-    """
-
-    skeleton: Skeleton
-    node: int
-    positions: Array
+    skeleton: Skeleton  # nodes and clips, shared by the parts of a file
+    node: int  # index of the node whose mesh the part belongs to
+    positions: Array  # (N, 3), in the node's space, before morph targets
+    # (N, 3), as the positions, vectors of any length; None until the file's reader computes missing
+    # normals, see :meth:`with_normals`.
     normals: Array | None
-    weights: tuple[float, ...] = ()
+    weights: tuple[float, ...] = ()  # stored weights of the shapes
     shapes: tuple[Shape, ...] = ()
     skin: Skin | None = None
-    placed: bool = True
-    offset: Float | None = None
-    sign: float = 1.0
+    placed: bool = True  # whether the node places the part; false with a skin
+    offset: Float | None = None  # (4, 4), transform of an instance within the node's space
+    sign: float = 1.0  # -1 if the normals have to be reversed: the file's faces are inside out
 
     def lagging(self, weights: Sequence[float]) -> tuple[float, ...]:
         """Return weights in which the shapes without own normals have their stored weights."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import ctypes
 import math
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from importlib.machinery import PathFinder
 from importlib.util import find_spec
 from typing import Any
@@ -90,9 +90,8 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     TRIANGLES.check("triangles", triangles)
     if sum(len(part.faces) for part in mesh.parts) <= triangles:
         return mesh
-    geometry, remaining = mesh.geometry.derived.of(
-        f"level {triangles}", None, lambda: _simplify(mesh.geometry, triangles)
-    )
+    make = partial(_simplify, mesh.geometry, triangles)
+    geometry, remaining = mesh.geometry.derived.of(f"level {triangles}", None, make)
     if (count := sum(len(part.faces) for part in geometry.parts)) > triangles:
         warn(f"{mesh.name} cannot be simplified to {triangles} triangles: {count} remain")
     level = Mesh(geometry, mesh.materials)

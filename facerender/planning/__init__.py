@@ -1,8 +1,8 @@
 """Planning: find a cheaper frame of a scene within an error budget.
 
 ``plan`` takes a scene and a budget. ``candidates`` lists the shadings that may replace the full one
-and draws views, ``search`` chooses among them and times frames, and ``decisions`` explains the
-choice. Costs come from ``pricing``.
+and draws views, and ``search`` chooses among them, times frames and explains the choice. Costs
+come from ``pricing``.
 
 A shading is accepted only after its error was measured at every pixel of every view: in float64 at
 pixel centres, and in OpenGL images if samples, triangles or blended parts matter. Costs only decide

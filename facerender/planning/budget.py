@@ -48,8 +48,6 @@ class Budget:
     def parse(cls, given: str | float, exposure: float = 0.0, within: str | float = 1.0) -> Budget:
         """Parse a budget.
 
-        Parameters
-        ----------
         given : "1/255", "0.5%" or "0.02 flip"; a number is a fraction of the display's range
         within : fraction of the pixels, such as "99.9%" or 0.999
         """

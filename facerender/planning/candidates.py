@@ -22,8 +22,8 @@ from facerender.planning.budget import Budget, highest_but
 from facerender.scene.detail import LevelOfDetail
 from facerender.scene.scene import Scene
 from facerender.scene.shading import SCATTER_SAMPLES, SMALL_SLOPE, Shading, Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, AnyLobe
-from facerender.terms.lobe import G_POWERS, fit_g_power
+from facerender.terms.lobe import G_POWERS, LOBES, AnyLobe, fit_g_power
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 from facerender.values.fields import parameters
 
 # From this slope m on, float32 needs no FR_SMALL_SLOPE: the error without it, 3e-7/m² of the lobe's

@@ -6,8 +6,8 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -24,8 +24,7 @@ from facerender.mesh.mesh import drawn_alpha
 from facerender.planning import search
 from facerender.planning.budget import ROUNDING, Budget, highest_but
 from facerender.planning.candidates import Constants, DrawnViews, Viewpoint
-from facerender.planning.decisions import Decision, decisions, details
-from facerender.planning.search import Choice, Cost, ReferencePixels, Witnesses
+from facerender.planning.search import Choice, Cost, Decision, ReferencePixels, decisions
 from facerender.pricing.table import FRAME, TABLE
 from facerender.scene.background import clear_color
 from facerender.scene.camera import Camera, orbiting
@@ -37,7 +36,7 @@ from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 from facerender.system.process import Progress, no_progress
 from facerender.texture.texture import Texture
-from facerender.values.fields import Several
+from facerender.values.fields import Several, parameters
 from facerender.values.vectors import MAX_RADIANCE
 
 # Colour ramp of an error map: errors as fractions of the budget, the colours of these errors, and
@@ -81,12 +80,9 @@ class Plan:
 
     Attributes
     ----------
-    scene : the scene of the plan
     shading : the chosen shading, for :meth:`facerender.Renderer.render`
     full : the full shading, which the chosen shading replaces
-    error, cost : see :class:`Error` and :class:`Cost`
     decisions : changes of the plan, and changes that would exceed the budget
-    budget : the parsed budget
     cameras : the cameras at which errors were measured
     sizes : width and height in pixels of the measured images, for every camera
     samples : samples per pixel of the measured images
@@ -309,9 +305,7 @@ def plan(
     ContextError : no OpenGL context
     """
     allowed = Budget.parse(budget, exposure, within)
-    measured_cameras = (
-        (scene.camera,) if cameras is None else Several(Camera).check("cameras", cameras)
-    )
+    checked = Several(Camera).check("cameras", [scene.camera] if cameras is None else cameras)
     if full.term.lobe != "exact":
         raise InputError(f"a plan chooses the lobe: omit {full.term.lobe}")
     if not scene.lights and scene.environment is None:
@@ -331,7 +325,7 @@ def plan(
             base if size == base.size else stack.enter_context(Renderer(size, **options))
             for size in (sizes or [base.size])
         ]
-        return _planned(scene, allowed, full, measured_cameras, cost, renderers, progress)
+        return _planned(scene, allowed, full, checked, cost, renderers, progress)
 
 
 def _planned(
@@ -374,7 +368,7 @@ def _planned(
     if framed and choice.limit >= 0.0:
         progress("samples and triangles", 0.0)
         framed.coarsen()
-    witnesses = Witnesses(views, choice, rendered)
+    witnesses = search.Witnesses(views, choice, rendered)
     shading = choice.first(witnesses.accepts, progress)
     measured = None
     if framed:
@@ -403,7 +397,7 @@ def _planned(
         cost_of_plan = replace(cost_of_plan, total=total, measured=measured)
     plan_decisions = [*decisions(choice, shading, finest_error, largest_error, witnesses.error)]
     if framed:
-        plan_decisions = [*details(choice, framed), *plan_decisions]
+        plan_decisions = [*search.details(choice, framed), *plan_decisions]
         maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
     return Plan(
         scene=scene,
@@ -490,13 +484,9 @@ def cached_plan(
     parameters are as in :func:`facerender.plan`."""
     allowed = Budget.parse(budget, exposure, within)
     name = _digest(scene, allowed, full, renderer) if cache else ""
-    with suppress(ValueError, KeyError, TypeError):  # the file is damaged or has another format
-        if cache and (content := disk_cache.read("plans", name)) is not None:
-            cached: dict[str, Any] = json.loads(bytes(content))
-            Shading.from_dict(cached["shading"]).check_lights(len(scene.lights))
-            LevelOfDetail(**cached["detail"])
-            if isinstance(cached["text"], str):
-                return cached
+    # The cache checks its entries, and the name depends on the version and thus on the format.
+    if cache and (content := disk_cache.read("plans", name)) is not None:
+        return dict(json.loads(bytes(content)))
     new_plan = plan(scene, budget, full=full, exposure=exposure, within=within, renderer=renderer)
     values = new_plan.as_dict()
     if cache:
@@ -513,22 +503,19 @@ def _digest(*parts: Any) -> str:
 def _pieces(value: Any) -> Iterator[bytes]:
     """Yield the content of a value as bytes; different values yield different bytes."""
     yield type(value).__name__.encode()
+    if isinstance(value, Texture):
+        value = value.sampling, np.asarray(value.rgb())
+    elif isinstance(value, Renderer):
+        names = ("size", "samples", "anisotropy", "albedo_kind", "full_maps")
+        value = (*(getattr(value, name) for name in names), value.context.renderer)
+    elif hasattr(value, "__dataclass_fields__"):
+        value = tuple(parameters(value).values())
     if isinstance(value, np.ndarray):
         yield repr((value.shape, value.dtype.str)).encode()
         yield np.ascontiguousarray(value).tobytes()
-    elif isinstance(value, Texture):
-        yield repr((value.rgb().size, value.sampling)).encode()
-        yield value.rgb().tobytes()
-    elif isinstance(value, Renderer):
-        names = ("size", "samples", "anisotropy", "albedo_kind", "full_maps")
-        options = [getattr(value, name) for name in names] + [value.context.renderer]
-        yield repr(options).encode()
     elif isinstance(value, tuple):
         for element in value:
             yield from _pieces(element)
         yield b")"
-    elif hasattr(value, "__dataclass_fields__"):
-        for field in fields(value):
-            yield from _pieces(getattr(value, field.name))
     else:
         yield repr(value).encode() + b";"

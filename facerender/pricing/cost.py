@@ -27,7 +27,8 @@ from facerender.mesh.part import Part
 from facerender.scene.camera import Camera
 from facerender.scene.scene import Scene
 from facerender.scene.shading import SMALL_SLOPE, Shading
-from facerender.terms import LOBES, MODELS
+from facerender.terms.lobe import LOBES
+from facerender.terms.model import MODELS
 
 
 @dataclass(frozen=True)
@@ -80,12 +81,6 @@ def seconds(
             times[turn, index] = time.perf_counter() - start
         progress((turn + 1) / repeats)
     return times
-
-
-def ratio(draw: Draw, full: Draw, repeats: int) -> Interval:
-    """Divide the time of ``draw`` by the time of ``full`` per round; return the median ratio."""
-    times, baseline = seconds([draw, full], repeats).T
-    return bootstrap(lambda turns: np.median((times / baseline)[turns], keepdims=True), repeats)[0]
 
 
 def relative(draw: Draw, full: Draw, repeats: int, limit: float) -> Interval:
@@ -175,11 +170,6 @@ class Variant:
         if self.printed:
             return f"printed, {self.lobe}"
         return f"{self.lobe}, m >= {SMALL_SLOPE:g}" if self.plain else self.lobe
-
-    @property
-    def standard(self) -> bool:
-        """Whether the renderer draws this variant for :attr:`shading`."""
-        return not (self.printed or self.plain)
 
     @property
     def unclamped(self) -> bool:

@@ -37,10 +37,11 @@ from facerender.scene.light import LIGHT_KINDS
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
 from facerender.scene.view import View
-from facerender.terms import lobe_entry
+from facerender.terms.lobe import lobe_entry
 from facerender.texture.texture import Texture
 
 FEW = 2  # environment samples; compilers unroll a loop over two samples
+LIGHTS = tuple(LIGHT_KINDS[name].price for name in sorted(LIGHT_KINDS))
 SHADOWS = tuple(sorted({light_type.shadow_price for light_type in LIGHT_KINDS.values()}))
 
 # A triangle that fills the target, with normals of a curved surface and 1.5 texels per pixel. It
@@ -92,7 +93,9 @@ def program_of(
     shading : shading of the scene; None: ``stub`` replaces the specular terms of the lights
     stub : GLSL that replaces the specular terms if ``shading`` is None; "": no specular terms
     """
-    chosen = (shading or Shading()).replace(environment_samples=environment_samples)
+    chosen = (shading or Shading()).replace(
+        environment_samples=environment_samples, environment_lights=0
+    )
     chosen = chosen.replace(diffuse="coupled") if coupled else chosen
     look = Appearance.of(scene, chosen, "color")  # with the features that the shading leaves out
     draw = shade_draw(look, look.parts[0], shading.term if shading else None, SLOPE)
@@ -131,10 +134,7 @@ def parts_of(program: Program) -> dict[str, int]:
         "normal map": int("NORMAL_MAP" in has),
         "property map": bool(has & read) + (shines and "LOBE_MAP" in has),
         "ambient term": int(ambient),
-        **{
-            LIGHT_KINDS[name].price: counts[LIGHT_KINDS[name].price] for name in sorted(LIGHT_KINDS)
-        },
-        **{price: counts[price] for price in SHADOWS},
+        **{price: counts[price] for price in (*LIGHTS, *SHADOWS)},
         "coupled diffuse": int(coupled),
         "light of coupled diffuse": sum(group.count for group in groups) * coupled,
         "environment": int("ENVIRONMENT" in has),

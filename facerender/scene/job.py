@@ -1,7 +1,7 @@
 """Jobs: a scene and its outputs as plain data, which is also what a scene file contains.
 
 A :class:`Job` is built from a TOML file, from the tables of a batch, or from the options of the
-command line: all of them are tables, merged by :func:`facerender.values.tables.merged` and built
+command line: all of them are tables, merged by :func:`facerender.values.fields.merged` and built
 once by the job's constructor. The renderer draws :meth:`Job.scene`. This module does not use
 OpenGL."""
 
@@ -44,8 +44,8 @@ from facerender.values.fields import (
     field_of,
     plain,
     record,
+    toml_text,
 )
-from facerender.values.tables import toml_text
 from facerender.values.vectors import Vector
 
 MAX_SAMPLES = 64
@@ -63,7 +63,7 @@ class ImageSettings:
         IntegerRange(1, MAX_SAMPLES),
         4,
         "samples per pixel",
-        "Above the driver's maximum, each sample is drawn as a separate, shifted image",
+        "Above the driver's maximum, shifted images with as many samples each are averaged",
     )
     anisotropy: float = field(Range(1.0, 16.0), 1.0, "maximum anisotropy of texture filtering")
     float_albedo: bool = field(

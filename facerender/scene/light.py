@@ -225,8 +225,8 @@ LIGHT_KINDS: dict[str, LightKind] = {
 
 # Key and rim light are high and oblique, so that skin shows its specular highlights.
 LIGHTS: Mapping[str, Light] = {
-    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(1.9, 1.8, 1.6), radius=4.0),
-    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(1.8, 1.9, 2.05), radius=4.0),
+    "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1), radius=4.0),
+    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(0.9, 0.94, 1.0), radius=20.0),
     "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4), radius=4.0),
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),

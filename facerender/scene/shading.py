@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, quoted
 from facerender.material import WEIGHTS
-from facerender.terms import FRESNEL, MASKING, MODELS, AnyLobe, GPower, Model, lobe_entry
-from facerender.terms.lobe import SLOPES
+from facerender.terms.lobe import SLOPES, AnyLobe, GPower, lobe_entry
+from facerender.terms.model import FRESNEL, MASKING, MODELS, Model
 from facerender.values.fields import (
     SWITCH,
     Choice,

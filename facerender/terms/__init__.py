@@ -5,15 +5,3 @@ registry contains the GLSL call, float64 function, domain and error bounds of a 
 line, the documents, the prices, the planner and the tests enumerate the entries. Numbers and arrays
 flow in and out; nothing here draws. A value outside its stated range raises InputError, because the
 functions are public (``brdf.py``, ``lobes.py``)."""
-
-from facerender.terms.lobe import LOBES as LOBES
-from facerender.terms.lobe import AnyLobe as AnyLobe
-from facerender.terms.lobe import GPower as GPower
-from facerender.terms.lobe import Lobe as Lobe
-from facerender.terms.lobe import lobe_entry as lobe_entry
-from facerender.terms.model import FRESNEL as FRESNEL
-from facerender.terms.model import MASKING as MASKING
-from facerender.terms.model import MODELS as MODELS
-from facerender.terms.model import Fresnel as Fresnel
-from facerender.terms.model import Masking as Masking
-from facerender.terms.model import Model as Model

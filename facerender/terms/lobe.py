@@ -185,9 +185,7 @@ class GPower:
     )
     factor: float = values.field(Range(1e-9, 1e6), text="factor of 1/m² in s")
     offset: float = values.field(
-        Range(-1e6, 1e6),
-        0.0,
-        "number subtracted from factor/m²; the domain of m ends where s = 0",
+        Range(-1e6, 1e6), 0.0, "number subtracted from factor/m²; the domain of m ends where s = 0"
     )
 
     def __str__(self) -> str:
@@ -266,11 +264,7 @@ def _exact(tan2: NDArray[np.floating], m: Float, k: int) -> Float:
 def exact_tan2(tan2: ArrayLike, m: ArrayLike, k: int) -> Float:
     """Return E/c^k from the squared tangent of the angle between normal and half vector.
 
-    Parameters
-    ----------
-    tan2 : tan² γ, >= 0, infinity allowed; any shape
-    m : RMS slope of the microfacets, in [1e-4, 2]; broadcasts with tan2
-    k : 4 for Cook-Torrance, 0 for Ward
+    tan2 is tan² γ, >= 0, infinity allowed, of any shape. For m and k see :func:`exact`.
 
     References: Beckmann and Spizzichino (1963); Cook and Torrance (1982); Ward (1992), eq. 4.
     """
@@ -317,12 +311,8 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
 
     The formula is max((n/g)(c - 1) + 1, 0)^g with n = 2/m² - k.
 
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    m : RMS slope, in [1e-4, sqrt(2/k)), at most 2; broadcasts with c
-    k : 4 for Cook-Torrance, 0 for Ward
-    g : 4, 8 or 16
+    m is in [1e-4, sqrt(2/k)), at most 2; g is 4, 8 or 16. For the other parameters and the
+    exceptions see :func:`exact`.
 
     References: Romanyuk et al. (2020), D4, D8, D16; Lyon (1993) for the clamp.
     """
@@ -335,11 +325,8 @@ def g_power(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
 def clamped_power(c: ArrayLike, steepness: ArrayLike, g: int) -> Float:
     """Return max(1 - s (1 - c), 0)^g, a g-power lobe with steepness s.
 
-    Parameters
-    ----------
-    c : cosine of the angle between normal and half vector, in [0, 1]; any shape
-    steepness : s, >= 0; broadcasts with c
-    g : power, in 1 to 31
+    c is cos γ, in [0, 1], of any shape; the steepness is at least 0 and broadcasts with c; g is in
+    1 to 31.
 
     References: Lyon (1993).
     """
@@ -574,8 +561,7 @@ def fit_g_power(k: int, g: int, smallest: float, largest: float) -> GPower | Non
 
 def _steepness(k: int, g: int, m: float) -> float:
     """Return the steepness of the g-power lobe whose largest errors above and below the exact lobe
-    are equal. Bisection finds this steepness, because a steeper lobe is lower at every
-    angle."""
+    are equal. Bisection finds this steepness, because a steeper lobe is lower at every angle."""
     c = np.cos(np.linspace(0.0, np.arctan(5.0 * m), 800))  # The lobe is tiny at larger angles.
     target = exact(c, m, k)
     low, high = 0.0, 40.0 / (g * m * m)

@@ -2,5 +2,5 @@
 
 The package exists so that an image is decoded once, however many materials, renderers and channels
 use it, and without a second full copy of a large image. Image files, arrays and Pillow images flow
-in, mip levels flow out. Rule: textures of one image share its texels and its chains; ``texture``
-does the sharing, and ``mips`` the averaging, each in strips of rows. OpenGL is not used."""
+in, mip levels flow out. Rule: textures of one image share its texels and its chains. OpenGL is not
+used."""

@@ -1,5 +1,6 @@
 """Textures: an image, of which all channels or one, and all mip levels or coarser ones are read,
-and a sampling."""
+and a sampling. Each kind of map has its averaging method for mip chains. Maps are reduced in strips
+of rows, which gives the same result as reducing the whole map."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ import math
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -19,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, clipped, quoted, warn
 from facerender.images.files import check_pixels, converted, in_srgb, open_image, png_bytes
-from facerender.images.image import linear_to_srgb
+from facerender.images.image import linear_to_srgb, srgb_to_linear
 from facerender.system.files import open_file
 from facerender.system.process import give_back
-from facerender.texture.mips import STRIP, Kind, Levels, as_rgb, data_chain, mip_chain, reduced_data
+from facerender.terms.model import MAP_DEVIATION
 from facerender.values.fields import PATH
 
 if TYPE_CHECKING:
@@ -30,11 +31,15 @@ if TYPE_CHECKING:
 
 Wrap = Literal["repeat", "clamp", "mirror"]
 Size = tuple[int, int]
+Kind = Literal["color", "linear-color", "normal", "data"]
+Levels = list[NDArray[Any]]
+Strips = Iterable[NDArray[np.uint8]]
 Decode = Callable[[], "Image | NDArray[np.uint8]"]
 
 DECODERS = (*("PNG", "JPEG", "TIFF", "WEBP", "BMP", "TGA", "GIF", "PPM", "JPEG2000", "DDS"), "AVIF")
 MAX_TEXELS = 6 * 8192**2  # texels of all maps of a mesh; two copies with mip levels take 4 GiB
 _MAX_KEPT = 1 << 20  # bytes; larger files are not kept in memory but read again for decoding
+STRIP = 32  # number of rows that are reduced at once: they fit in the CPU cache
 LARGE = 4096**2  # texels; larger maps omit mip levels that are too fine for the rendered image
 
 
@@ -224,7 +229,8 @@ class Texture:
         """Return the image without alpha, (H, W, 3), or (H, W) for a channel. Row 0 is at the
         bottom, as in OpenGL. The first call decodes the image."""
         if self.coarse:
-            return reduced_data(self._strips(), self._omitted)
+            # Pillow may round a value to another 8-bit level than the level of data_chain().
+            return np.concatenate([_halved(strip, self._omitted) for strip in self._strips()])
         return _band(self.image.all_texels(), self._channel)
 
     def rgb(self) -> Image:
@@ -517,3 +523,149 @@ def _finish() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_finish)
+
+
+def mip_chain(mip_kind: Kind, strips: Strips, height: int, drop: int) -> Levels:
+    """Return the mip levels of an image, down to one texel. See ``Texture.levels`` for the kinds;
+    :func:`data_chain` returns the levels of kind "data".
+
+    strips : rows of the image from the bottom; all strips but the last one contain an even number
+        of rows of the mip level ``drop``
+    height : number of rows of the finest level
+    drop : number of finest levels to omit
+    """
+    decode, halve, encode = _METHODS[mip_kind]
+    low = 0
+    for texels in strips:
+        means = decode(as_rgb(texels))
+        for _ in range(drop):
+            means = halve(means)
+        # The full normal map keeps its bytes: encode() would change the length of the vectors.
+        level = _with_alpha(texels, 0) if mip_kind == "normal" and not drop else encode(means)
+        half = halve(means)
+        if not low:  # arrays of this size leave no holes in the heap, as a list of strips would
+            finest = np.empty((height, *level.shape[1:]), level.dtype)
+            halves = np.empty((-(-height // 2), *half.shape[1:]), half.dtype)
+        finest[low : low + len(level)] = level
+        halves[low // 2 : low // 2 + len(half)] = half
+        low += len(level)
+    levels = [finest]
+    while max(levels[-1].shape[:2]) > 1:
+        halves = halves[: max(len(levels[-1]) // 2, 1)]  # without the half of a last odd row
+        strips = [halves[top : top + STRIP] for top in range(0, len(halves), STRIP)]
+        levels.append(np.concatenate([*map(encode, strips)]))
+        halves = np.concatenate([*map(halve, strips)])
+    return levels
+
+
+def data_chain(finest: NDArray[np.uint8]) -> Levels:
+    """Return the mip levels of kind "data" from the finest level, (H, W, 3)."""
+    levels = [finest]
+    while max(levels[-1].shape[:2]) > 1:
+        levels.append(_halved(levels[-1], 1))
+    return levels
+
+
+def _halved(texels: NDArray[np.uint8], times: int) -> NDArray[np.uint8]:
+    from PIL.Image import Resampling
+
+    image = _image_of(texels)
+    for _ in range(times):
+        half = max(image.width // 2, 1), max(image.height // 2, 1)
+        image = image.resize(half, Resampling.BOX)
+    return np.asarray(image)
+
+
+def as_rgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return texels (H, W, 3) of grey texels (H, W), and other texels as they are."""
+    return np.repeat(texels[..., None], 3, axis=2) if texels.ndim == 2 else texels
+
+
+def _with_alpha(texels: NDArray[np.uint8], alpha: int) -> NDArray[np.uint8]:
+    """Return a copy (H, W, 4) of texels with a constant alpha."""
+    copy = np.empty((*texels.shape[:2], 4), dtype=np.uint8)
+    copy[..., :3], copy[..., 3] = as_rgb(texels), alpha
+    return copy
+
+
+def _even(texels: NDArray[Any], columns: int = 1) -> NDArray[Any]:
+    """Make the numbers of rows and of columns, which lie along an axis, even: double a side of 1;
+    any other odd side loses its last texels."""
+    for axis in (0, columns):
+        if texels.shape[axis] == 1:
+            texels = np.repeat(texels, 2, axis)
+        elif texels.shape[axis] % 2:
+            texels = texels.take(range(texels.shape[axis] - 1), axis)
+    return texels
+
+
+@lru_cache(maxsize=1)
+def _light_tables() -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """Return two tables to average sRGB bytes in linear light. The first maps a byte to a quarter
+    of its linear value. The second maps the sum of four quarters to a byte."""
+    quarter = 16383
+    decode = np.round(srgb_to_linear(np.arange(256) / 255.0) * quarter).astype(np.uint16)
+    encode = np.round(linear_to_srgb(np.arange(65536) / (4 * quarter)) * 255.0).astype(np.uint8)
+    return decode, encode
+
+
+def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    decode, encode = _light_tables()
+    # Adds four 16-bit channels as one uint64. Each sum fits in 16 bits, so there is no carry.
+    light = decode[_even(texels)].view(np.uint64)[..., 0]
+    rows = light[0::2] + light[1::2]
+    blocks = rows[:, 0::2] + rows[:, 1::2]
+    return np.asarray(encode[blocks.view(np.uint16)].reshape(*blocks.shape, 4))
+
+
+def _linear(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    decode = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
+    return np.asarray(decode[_with_alpha(texels, 255)])
+
+
+def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
+    even = _even(texels)
+    blocks = even.reshape(len(even) // 2, 2, even.shape[1] // 2, 2, 4)
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
+
+
+def _unit_vectors(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return texels of a normal map as unit vectors (H, 3, W)."""
+    vectors = np.moveaxis(texels, -1, 1).astype(np.float32, order="C")
+    vectors -= np.float32(127.5)  # no byte becomes 0, so no vector has length 0
+    vectors *= 1.0 / _length(vectors)[:, None]
+    return vectors
+
+
+def _length(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(np.sqrt(vectors[:, 0] ** 2 + vectors[:, 1] ** 2 + vectors[:, 2] ** 2))
+
+
+def _halve_vectors(means: NDArray[np.float32]) -> NDArray[np.float32]:
+    even = _even(means, columns=2)
+    rows = even[0::2] + even[1::2]
+    blocks = rows[..., 0::2] + rows[..., 1::2]
+    blocks *= np.float32(0.25)
+    return np.asarray(blocks)
+
+
+def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return the texels (H, W, 4) of a normal map's mip level from its mean normals (H, 3, W). RGB
+    is the direction of the mean, alpha is the slope deviation."""
+    length = _length(means).clip(1e-6, 1.0)
+    texels = np.empty((*length.shape, 4), dtype=np.uint8)
+    scale = np.float32(127.5) / length
+    for axis in range(3):
+        texels[..., axis] = means[:, axis] * scale + np.float32(128.0)  # truncated to uint8
+    deviation = np.sqrt((1.0 - length) / length)
+    texels[..., 3] = np.minimum(deviation * np.float32(255.0 / MAP_DEVIATION), 255.0) + 0.5
+    return texels
+
+
+# Keyed by kind: functions that decode a strip of texels (H, W, 3), halve what was decoded, and
+# encode it as texels of a mip level.
+_METHODS: dict[Kind, tuple[Callable[..., Any], Callable[..., Any], Callable[..., Any]]] = {
+    "color": (lambda texels: _with_alpha(texels, 255), _halve_srgb, lambda texels: texels),
+    "linear-color": (_linear, _halve_linear, lambda light: light.astype(np.float16)),
+    "normal": (_unit_vectors, _halve_vectors, _with_deviation),
+}

@@ -39,6 +39,15 @@ void add_fractions(Surface s, Disc light, int i, float seen) {
     specular_seen += seen * weight;
     specular_weights += weight;
 }
+
+// Return the visible fractions of the remainder's irradiance and of the specular light. The specular
+// fraction is reduced where little irradiance arrives: a shadow map has one surface per texel, so
+// that light from behind the head leaks into the slit of the mouth.
+vec3[2] environment_fractions() {
+    vec3 whole = irradiance_seen / max(irradiance_weights, 1e-30);
+    vec3 reflected = specular_seen / max(specular_weights, 1e-30);
+    return vec3[2](whole, reflected * smoothstep(0.0, 1.0, whole));
+}
 #endif
 
 #ifdef ENVIRONMENT_SAMPLES

@@ -111,7 +111,8 @@ void add_light(Surface s, vec3 v, Disc light, bool shines) {
 void add_environment(Surface s, vec3 v) {
     vec3 received = environment_irradiance(s.normal);
 #ifdef ENVIRONMENT_LIGHTS
-    received *= irradiance_seen / max(irradiance_weights, 1e-30);
+    vec3[2] fractions = environment_fractions();
+    received *= fractions[0];
 #else
     received *= s.occlusion;  // The shadows of lights replace it.
 #endif
@@ -126,7 +127,7 @@ void add_environment(Surface s, vec3 v) {
     vec3 reflected = environment_specular(s.normal, v, s.m, f0);
 #endif
 #ifdef ENVIRONMENT_LIGHTS
-    reflected *= specular_seen / max(specular_weights, 1e-30);
+    reflected *= fractions[1];
 #endif
     specular += reflected;
 #endif

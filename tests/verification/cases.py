@@ -21,8 +21,9 @@ from facerender import brdf, lobes, resolve_includes
 from facerender.glsl import library
 from facerender.lobes import AnyLobe, GPower
 from facerender.scene.shading import Term
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS, environment, lobe_entry, transport
-from facerender.terms.lobe import TINY, ULP, power_error
+from facerender.terms import environment, transport
+from facerender.terms.lobe import LOBES, TINY, ULP, lobe_entry, power_error
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 from tests.verification import shadow
 from tests.verification.evaluate import WIDTH, Inputs
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.scene.shading import Term
-from facerender.terms import FRESNEL, MASKING, MODELS, lobe_entry
-from facerender.terms.lobe import MIN_SLOPE
+from facerender.terms.lobe import MIN_SLOPE, lobe_entry
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 from tests.verification.cases import ALL_LOBES, F0, Case, Each
 from tests.verification.evaluate import Inputs
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.terms import MASKING
+from facerender.terms.model import MASKING
 from tests.verification import cases
 from tests.verification.cases import Case, Each, Singles, singles
 from tests.verification.evaluate import Inputs

@@ -19,6 +19,15 @@ SAMPLES = (
     ("32: energy", "{n32[energy]:+.1f%}"),
     ("32: 99th percentile", "{n32[displayed]:g}/255"),
 )
+RAYS = (
+    ("mesh", "{mesh}"),
+    ("environment", "{environment}"),
+    ("lights", "{lights}"),
+    ("mean", "{mean:.1f}"),
+    ("99 %", "{high:.1f}"),
+    ("creases: mean", "{crease_mean:.1f}"),
+    ("creases: 99 %", "{crease_high:.1f}"),
+)
 SPARKLE = (("setting", "{name}"), ("pixels", "{n}"))
 
 
@@ -35,6 +44,7 @@ def blocks() -> dict[str, str]:
         "samples": table(SAMPLES, rows),
         "worst": f"{100.0 * max(each['n32']['of_all'] for each in rows):.2f} %",
         "of-specular": f"{100.0 * min(of_specular):.1f} % to {100.0 * max(of_specular):.1f} %",
+        "rays": table(RAYS, data["rays"]),
         "float64": f"{data['float64']:.1e}",
         "sparkle": table(SPARKLE, [{"name": name, "n": n} for name, n in data["sparkle"].items()]),
         "sample-cycles": str(data["cycles"]["sample"]),

@@ -8,7 +8,6 @@ from typing import Any
 from benchmarks.prices.amd import FAMILIES, Statistics
 from benchmarks.prices.offline import GPUS
 from facerender.errors import InputError
-from facerender.measure.chart import CostKind
 from facerender.measure.measurement import (
     MODELS,
     SCHEMA,
@@ -17,7 +16,7 @@ from facerender.measure.measurement import (
     rows_of,
     slope_of,
 )
-from facerender.measure.report import Table, cost_tables, error_tables
+from facerender.measure.report import CostKind, Table, cost_tables, error_tables
 from facerender.pricing.cost import SLOPE, Interval, Variant, of_model
 from facerender.pricing.table import shipped, term_name
 from facerender.scene.shading import Term

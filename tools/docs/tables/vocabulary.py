@@ -18,7 +18,8 @@ from facerender.scene.light import LIGHTS, Light
 from facerender.scene.pose import Pose
 from facerender.scene.scene import ONLY, Scene
 from facerender.scene.shading import DIFFUSE, OUTSIDE, Shading
-from facerender.terms import FRESNEL, LOBES, MASKING, MODELS
+from facerender.terms.lobe import LOBES
+from facerender.terms.model import FRESNEL, MASKING, MODELS
 from facerender.terms.transport import PROFILES
 from tools.docs.tables import markdown_table
 
