@@ -96,7 +96,7 @@ class Script:
             texture.build_mipmaps()
             texture.use(unit)
             program[name] = unit
-        lights = ((-50, 42, 3.6, 3.4, 3.1), (100, 33, 0.9, 0.94, 1.0), (50, 5, 0.34, 0.36, 0.4))
+        lights = ((-50, 42, 3.6, 3.4, 3.1), (115, 33, 0.72, 0.75, 0.81), (50, 5, 0.34, 0.36, 0.4))
         program["to_light"].write(np.array([direction(*each[:2]) for each in lights], "f4"))
         program["irradiance"].write(np.array([each[2:] for each in lights], "f4"))
         program["ambient"] = (0.26, 0.28, 0.31)

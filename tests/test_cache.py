@@ -423,7 +423,7 @@ def test_render_without_a_usable_cache(option, tmp_path, egl, monkeypatch, place
     wait_for_cache()
     printed = capsys.readouterr()
     assert printed.out == f"{png}\n"
-    assert "warning" not in printed.err
+    assert "warning" not in re.sub(".* brighter than white: .*", "", printed.err)
     assert not place.is_dir()
 
 

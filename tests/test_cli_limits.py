@@ -66,7 +66,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     **fields_of(partial(fr.Scene, fr.load_mesh(MINI_HEAD)), "ambient", "background"),
     **fields_of(fr.Camera, "fov", "target"),
     **fields_of(fr.Pose, "time"),
-    **fields_of(fr.Shading, "environment_samples"),
+    **fields_of(fr.Shading, "environment_samples", "environment_lights"),
     **{name: (Range(0.0, HIGHEST), partial(compared, name)) for name in LIMITS},
     "exposure": (EXPOSURES, lambda value: fr.Output("x.png", exposure=value)),
     "weight": (SHAPE_WEIGHTS, lambda value: fr.Pose({"jawOpen": value})),

@@ -532,6 +532,7 @@ def test_fireflies_over_the_limit_in_8_bits(room):
     }
 
 
+@pytest.mark.filterwarnings("ignore:.*brighter than white")
 def test_images_may_be_frames_arrays_and_files(tmp_path, room):
     frame = room.frame(room.golden)
     frame.save(tmp_path / "a.exr")

@@ -17,7 +17,7 @@ import facerender as fr
 from benchmarks.skin_environment import panorama_directions
 from facerender import InputError, brdf
 from facerender.commands import main
-from facerender.images.files import save_exr
+from facerender.images.files import read_image, save_exr
 from facerender.images.image import linear_to_srgb
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
@@ -69,11 +69,12 @@ def test_small_spot_equals_a_directional_light(small, head):
     expected = small.render(around(wide, None, lights=(light,)), only="specular").linear[..., :3]
     for turned, rotation in ((-50.0, 0.0), (10.0, -60.0)):
         environment = fr.Environment(spot(turned, 42.0), rotation)
-        shading = fr.Shading(environment_samples=1024)
+        shading = fr.Shading(environment_samples=1024, environment_lights=0)
         seen = small.render(around(wide, environment), shading, only="specular").linear[..., :3]
         assert np.abs(seen - expected).sum() < 0.1 * expected.sum()
         assert seen.sum() == pytest.approx(expected.sum(), rel=0.03)
-    both = [small.render(each, only="diffuse").linear for each in (around(wide, environment),)]
+    scene = around(wide, environment)
+    both = [small.render(scene, shading, only="diffuse").linear]
     lit = small.render(around(wide, None, lights=(light,)), only="diffuse").linear
     assert np.corrcoef(both[0].ravel(), lit.ravel())[0, 1] > 0.97
 
@@ -273,6 +274,7 @@ def test_the_price_depends_on_the_samples(small, head):
         (fr.Shading(), two, 11111.0 + 64e5),
         (fr.Shading(ks=0.0), scene, 11111.0),
     ):
+        shading = shading.replace(environment_lights=0)
         assert table.cost(own, shading)[0] == pytest.approx(total)
 
 
@@ -529,6 +531,17 @@ def test_lights_of_the_environment_halve_the_error_against_rays(egl, head, panor
         assert getattr(with_lights, name) <= 0.5 * getattr(without, name), name
 
 
+def test_surfaces_that_no_light_of_the_environment_faces_are_not_black(egl, head):
+    """Below the jaw, all lights are behind the surface, which faces the dim floor of the studio."""
+    with fr.Renderer(128, samples=1, backend=egl, float_albedo=True) as renderer:
+        scene = fr.Scene(head, "three-quarter", (), 0.0, environment="studio,40")
+        traced = Traced(renderer, scene, 768)
+        assert scene.environment is not None
+        expected = traced.radiance(scene.environment, fr.Shading())[traced.covered]
+        image = renderer.render(scene).linear[traced.covered][:, :3]
+    assert (image < 0.3 * expected - 0.002).any(axis=-1).sum() <= 3
+
+
 def test_a_sun_becomes_a_light_of_its_size():
     """The sun of 2 degrees is one light, apart from its sky; the sum of all lights and of the
     remainder is the energy of the panorama."""
@@ -566,3 +579,14 @@ def test_data_images_do_not_depend_on_the_environment(small, head):
     for name in ("visibility", "cosines", "depth"):
         bare = small.render(replace(scene, environment=None), only=name)
         assert np.array_equal(small.render(scene, only=name).linear, bare.linear), name
+
+
+def test_no_shadows_of_the_command_line_include_the_environment(tmp_path):
+    images = []
+    for options in (["--no-shadows"], ["--environment-lights", "0"], ["--shadows"]):
+        file = str(tmp_path / f"{len(images)}.exr")
+        scene = ["--environment", "studio", "--size", "48", "--frame", "face"]
+        assert main(["render", *scene, *options, "-o", file]) == 0
+        images.append(read_image(file).pixels)
+    assert np.array_equal(images[0], images[1])
+    assert not np.allclose(images[0], images[2], atol=0.01)

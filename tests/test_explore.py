@@ -323,7 +323,9 @@ def test_saved_scene_renders_the_image_of_the_page(browser, tmp_path, written, m
         assert [field.input_value() for field in fields if field.is_visible()] == ["", "0.31416"]
         assert "in A, 0.314 in B" in page.inner_text("#here")
         look(page, "b=lobe:g-power;g:6;factor:0.3;offset:0.4&exposure=0.5&show=b")
-        shown = linear_to_srgb(2**0.5 * images(page)[1][..., :3])
+        image = images(page)[1]
+        behind = (1.0 - image[..., 3:]) * [0.1, 0.2, 0.3]
+        shown = linear_to_srgb(2**0.5 * (image[..., :3] - behind) + behind)
         with page.expect_download() as download:
             page.click("#save-scene")
         assert download.value.suggested_filename == "b.toml"

@@ -156,7 +156,8 @@ def around(mesh: fr.Mesh, **material) -> fr.Scene:
 
 
 def plain(mesh: fr.Mesh, **material) -> fr.Scene:
-    return fr.Scene(mesh.with_material(**material), fr.Camera(35.0), background=None)
+    lights = (LIGHTS["key"], replace(LIGHTS["fill"], azimuth=100.0, irradiance=2.5))
+    return fr.Scene(mesh.with_material(**material), fr.Camera(35.0), lights, background=None)
 
 
 def areas(mesh: fr.Mesh) -> fr.Scene:

@@ -302,7 +302,7 @@ def test_highlights_agree_with_float64(three, shape):
                 error = np.abs(found[name] - expected) / np.maximum(expected, 1e-3)
                 assert error.max() < 1e-3, (name, m, point)
                 brightest = max(brightest, expected.max())
-    assert brightest > 1.0
+    assert brightest > 0.2
 
 
 def test_views_show_both_images_and_their_difference(three):

@@ -14,7 +14,7 @@ const scene = new THREE.Scene();
 scene.background = new THREE.Color(0x24272b);
 scene.add(new THREE.AmbientLight(0xffffff, 0.35));
 addLight(-50, 42, new THREE.Color(3.6, 3.4, 3.1));
-addLight(100, 33, new THREE.Color(0.9, 0.94, 1.0));
+addLight(115, 33, new THREE.Color(0.72, 0.75, 0.81));
 
 const m = { value: 0 };
 const exact = new SkinMaterial({ m });

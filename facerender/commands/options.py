@@ -195,7 +195,7 @@ MESH | mesh file: {", ".join([*FORMATS][:-1])} or {[*FORMATS][-1]} | the built-i
     point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B,
     {range_of(Light, "irradiance")}. Append ,radius=DEGREES, {range_of(Light, "radius")}, for the
     angular radius of an area light, and ,no-shadow for a light without shadows
---shadows | shadows of all lights | as each light specifies
+--shadows | shadows of all lights and of the environment map | as each light specifies
 --environment FILE[,ROTATION[,SCALE]] | environment map: .hdr, .exr, .npy, .npz or {STUDIO} | none
     | ROTATION is {range_of(EnvironmentFile, "rotation")}; SCALE, a factor on the radiance, is
     {range_of(EnvironmentFile, "scale")}. An environment map replaces the default lights and the

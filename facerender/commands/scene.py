@@ -22,7 +22,6 @@ from facerender.errors import InputError, clipped, quoted, warn
 from facerender.loading import MeshFile, load_mesh
 from facerender.loading.source import GLTF
 from facerender.material import parse_part
-from facerender.mesh.hints import no_shadows
 from facerender.mesh.mesh import Mesh
 from facerender.scene.background import is_image
 from facerender.scene.camera import (
@@ -111,9 +110,10 @@ def job_of(
     _check_unused(options, job)
     if options.shadows is not None:
         lights = tuple(replace(light, shadow=options.shadows) for light in job.lights)
-        job = replace(job, lights=lights)
-        if options.shadows and not (lights or options.occlusion):
-            warn(no_shadows(job.environment is not None))
+        shading = job.shading
+        if not options.shadows and options.environment_lights is None:
+            shading = shading.replace(environment_lights=0)
+        job = replace(job, lights=lights, shading=shading)
     return job, cameras
 
 

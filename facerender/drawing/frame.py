@@ -259,13 +259,13 @@ class Frame:
         """Emit the warning of :meth:`save`; repeated warnings are only noted."""
         if self.only in DATA or tone != "linear":
             return
-        # A sample of at least 65,536 pixels: an exact count takes as long as the encoding.
-        step = math.isqrt(self.linear[..., 0].size) // 256 or 1
-        pixels = self.linear[::step, ::step]
-        values = pixels[(pixels[..., 3:] > _COVERED).all(axis=-1), :3].max(axis=-1)
-        spared, count = int(_CLIPPED * len(values)), np.count_nonzero(values > 2.0**-exposure)
-        if count <= spared:
-            return
+        # A sample of about 65,000 pixels first: to count all pixels takes as long as the encoding.
+        for step in (math.isqrt(self.linear[..., 0].size) // 256 or 1, 1):
+            pixels = self.linear[::step, ::step]
+            values = pixels[(pixels[..., 3:] > _COVERED).all(axis=-1), :3].max(axis=-1)
+            spared, count = int(_CLIPPED * len(values)), np.count_nonzero(values > 2.0**-exposure)
+            if count <= spared:
+                return
         largest = float(np.partition(values, -1 - spared)[-1 - spared])
         stops = math.floor(-10.0 * math.log2(largest)) / 10.0
         (note if exposure in self.warned else warn)(

@@ -207,7 +207,7 @@ class _Pixels:
             width = 2.0 * self.lobes[0][0] ** 2 + 0.5 * sine**2 + 0.02
             lobe = np.exp((mirrored @ l - 1.0) / width) + 1e-4
             weights = (
-                np.maximum(self.n @ l, 0.0)[:, None] * rest,
+                (np.maximum(self.n @ l, 0.0) + 0.01)[:, None] * rest,
                 lobe[:, None] * (light.irradiance + rest),
             )
             for row, weight in enumerate(weights):

@@ -367,11 +367,11 @@ def unused_maps(name: str, folder: Path) -> None:
     """Warn of an albedo map in the folder of a mesh file without one, or of images in a folder of
     maps there."""
     entries = sorted(islice(folder.glob("*"), 1000))
-    for place in (folder, *(path for path in entries if path.name.lower().endswith(_FOLDERS))):
-        count, image = _albedo_in(place)
-        if count and (place is not folder or _COLORS.search(image)):
-            where = "its folder" if place is folder else f"{clipped(place.name, 80)}/"
-            remedy = f"{where} holds {number_of(count, 'image')}: give --albedo {place / image}"
+    for path in (folder, *(path for path in entries if path.name.lower().endswith(_FOLDERS))):
+        count, image = _albedo_in(path)
+        if count and (path is not folder or _COLORS.search(image)):
+            where = "its folder" if path is folder else f"{clipped(path.name, 80)}/"
+            remedy = f"{where} holds {number_of(count, 'image')}: give --albedo {path / image}"
             return warn(f"{name} has no albedo map, but {remedy}")
 
 

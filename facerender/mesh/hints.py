@@ -378,10 +378,3 @@ def guessed(mesh: Mesh, frame: str) -> str | None:
         return f"no face was found on {mesh.name}: frame {frame} shows the whole mesh"
     cause = f"its head is a guess from {framing.source}"
     return f"no face was found on {mesh.name}, and {cause}: look at the image, or give --target"
-
-
-def no_shadows(environment: bool) -> str:
-    """Return the hint that shadows are asked for in a scene without lights, but perhaps with an
-    environment map."""
-    cause = "an environment map casts no shadows" if environment else "the scene has no lights"
-    return f"--shadows has no effect, because {cause}: give --occlusion or a --light"

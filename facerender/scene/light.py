@@ -226,7 +226,7 @@ LIGHT_KINDS: dict[str, LightKind] = {
 # Key and rim light are high and oblique, so that skin shows its specular highlights.
 LIGHTS: Mapping[str, Light] = {
     "key": Light(azimuth=-50.0, elevation=42.0, irradiance=(3.6, 3.4, 3.1), radius=4.0),
-    "rim": Light(azimuth=100.0, elevation=33.0, irradiance=(0.9, 0.94, 1.0), radius=20.0),
+    "rim": Light(azimuth=115.0, elevation=33.0, irradiance=(0.72, 0.75, 0.81), radius=4.0),
     "fill": Light(azimuth=50.0, elevation=5.0, irradiance=(0.34, 0.36, 0.4), radius=4.0),
     "front": Light(azimuth=0.0, elevation=10.0, irradiance=2.5, radius=4.0),
     "top": Light(azimuth=0.0, elevation=75.0, irradiance=2.5, radius=4.0),

@@ -26,11 +26,12 @@ vec3 specular_seen = vec3(0.0);
 vec3 specular_weights = vec3(0.0);
 
 // Add the visible fraction of a light. For the irradiance, its weight is the remainder's light from
-// its area. For the specular light, it is all light of its area times a Gaussian around the mirrored
-// view with the width of the lobe and of the light; 0.02 is the width of an area between lights.
+// its area; the 0.01 decides where no light is above the horizon. For the specular light, the weight
+// is all light of the area times a Gaussian around the mirrored view with the width of the lobe and
+// of the light; 0.02 is the width of an area between lights.
 void add_fractions(Surface s, Disc light, int i, float seen) {
     vec3 l = light.center.direction, around = environment_around[i];
-    vec3 weight = max(dot(s.normal, l), 0.0) * around;
+    vec3 weight = (max(dot(s.normal, l), 0.0) + 0.01) * around;
     irradiance_seen += seen * weight;
     irradiance_weights += weight;
     float width = 2.0 * s.m * s.m + 0.5 * light.size.x * light.size.x + 0.02;
