@@ -23,7 +23,7 @@ from facerender.mesh.geometry import Geometry
 from facerender.mesh.part import Part
 from facerender.planning.candidates import Constants, candidates
 from facerender.pricing.table import Prices, load_prices
-from facerender.scene.environment import SIDE, panorama_lights, studio
+from facerender.scene.environment import SIDE, studio
 from facerender.scene.scattering import scattering_of
 from facerender.scene.view import view_of
 from facerender.terms.transport import PROFILES, scatter_profile, spiral
@@ -553,7 +553,7 @@ def test_a_sun_becomes_a_light_of_its_size():
     sun = max(lights, key=lambda each: each.irradiance[0])
     assert (sun.azimuth, sun.elevation) == pytest.approx((-10.0, 50.0), abs=0.2)
     assert sun.radius == pytest.approx(2.0, abs=0.4)  # the sky within 20 degrees is a tenth of it
-    split = panorama_lights(panorama, 8)
+    split = panorama.lights(8)
     total = (split.irradiance + split.around).sum(axis=0)
     assert total == pytest.approx(4.0 * panorama.coefficients[0], rel=1e-3)
     assert sun.irradiance == pytest.approx(tuple(2.0 * split.irradiance.max(axis=0)))

@@ -39,7 +39,6 @@ from facerender.material import Material
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Area, TriangleSetup
 from facerender.mesh.repair import joined
-from facerender.scene.environment import panorama_lights
 from facerender.scene.light import LightSpace
 from facerender.scene.view import View
 from facerender.values.vectors import Vector
@@ -111,11 +110,9 @@ class Maps:
             uniforms["shadow_view"] = np.array([space.matrix for space in spaces])
             uniforms["shadow_size"] = np.array([(s.tan_radius, s.top, s.scale) for s in spaces])
         if environment := look.environment:
-            uniforms["environment_sh"] = environment.panorama.coefficients
-            if count := len(look.lighting.environment):
-                split = panorama_lights(environment.panorama, count)
-                uniforms["environment_sh"] = split.coefficients
-                uniforms["environment_around"] = environment.scale * split.around
+            split = environment.panorama.lights(len(look.lighting.environment))
+            uniforms["environment_sh"] = split.coefficients
+            uniforms["environment_around"] = environment.scale * split.around
             uniforms["environment_turn"] = environment.turn.T  # OpenGL stores matrices by column
             uniforms["environment_scale"] = environment.scale
             uniforms["environment_size"] = len(environment.panorama.map) - 2

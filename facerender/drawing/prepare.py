@@ -71,9 +71,9 @@ class Lighting:
 
     def __init__(self, scene: Scene, shading: Shading) -> None:
         first = len(scene.lights)
-        lights, count = scene.lights, shading.environment_lights
-        self.environment = scene.environment.lights(count) if scene.environment and count else ()
-        lights += self.environment
+        source = scene.environment
+        self.environment = source.lights(shading.environment_lights) if source else ()
+        lights = scene.lights + self.environment
         types = [light.kind for light in lights]
         keys = [
             (

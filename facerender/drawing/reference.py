@@ -14,7 +14,6 @@ from facerender.drawing.frame import GBuffer
 from facerender.drawing.prepare import resolve, simplify
 from facerender.material import Material
 from facerender.mesh.part import Space
-from facerender.scene.environment import panorama_lights
 from facerender.scene.light import Light, half_sum
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
@@ -265,23 +264,20 @@ def environment_layer(gbuffer: GBuffer, scene: Scene, shading: Shading) -> NDArr
     The lights, the lobe and ``small_slope`` have no effect: the environment's reflections use the
     exact lobe. The diffuse light of the environment's own lights is left out.
     """
-    look, scene = resolve(scene, shading).appearance, simplify(scene, shading)
+    resolved = resolve(scene, shading)
+    lights, scene = resolved.appearance.lighting.environment, resolved.scene
     image = np.zeros(gbuffer.normalised_position.shape)
     if scene.environment is None:
         return image
     panorama, turn = scene.environment.panorama, scene.environment.turn
     samples, term = shading.environment_samples, replace(shading.term, lobe="exact", m=None)
-    first, lights = len(scene.lights), look.lighting.environment
-    coefficients = panorama.coefficients
-    if lights:
-        split = panorama_lights(panorama, len(lights))
-        coefficients, around = split.coefficients, scene.environment.scale * split.around
+    split, seen = panorama.lights(len(lights)), gbuffer.visibility[..., len(scene.lights) :]
     for pixels in _parts(gbuffer, scene, shading.term):
         n, v, material = pixels.n @ turn.T, pixels.v @ turn.T, pixels.material
-        irradiance = environment_irradiance(coefficients, n)
+        irradiance = environment_irradiance(split.coefficients, n)
         fractions: tuple[Float | float, Float | float] = pixels.occlusion, 1.0
         if lights:
-            fractions = pixels.fractions(lights, around, gbuffer.visibility[..., first:])
+            fractions = pixels.fractions(lights, scene.environment.scale * split.around, seen)
         total = pixels.albedo * fractions[0] * irradiance * pixels.coupling(shading)(None)
         brdf = partial(term.brdf, f0=material.f0)
         for m, fraction in pixels.lobes * bool(samples and material.ks > 0.0):

@@ -3,7 +3,7 @@ panorama. Files are .hdr, .exr or NumPy.
 
 Shading reads a panorama in three forms. Irradiance is nine coefficients of spherical harmonics.
 Specular light is filtered samples of octahedral mip levels. Occlusion needs directions that shadow
-maps can serve: a few disc lights, which hold the bright areas (:func:`panorama_lights`). Their
+maps can serve: a few disc lights, which hold the bright areas (:meth:`Panorama.lights`). Their
 visible fractions also stand for the areas between them."""
 
 from __future__ import annotations
@@ -94,6 +94,17 @@ class Panorama:
         radiance, directions, solid_angle = self._resampled
         return _coefficients(radiance * solid_angle[..., None], directions)
 
+    def lights(self, count: int) -> PanoramaLights:
+        """Return the panorama as `count` disc lights and a remainder; see :func:`_divided`."""
+        if count not in self._lights:
+            self._lights[count] = _divided(self, count)
+        return self._lights[count]
+
+    @cached_property
+    def _lights(self) -> dict[int, PanoramaLights]:
+        """The results of :meth:`lights` by their number."""
+        return {}
+
     @cached_property
     def map(self) -> Float32:
         """Mip levels of the octahedral map side by side, (SIDE + 2, W, 3). Each level has half the
@@ -166,16 +177,18 @@ class PanoramaLights:
     coefficients: Float
 
 
-@lru_cache(maxsize=4)
-def panorama_lights(panorama: Panorama, count: int) -> PanoramaLights:
+def _divided(panorama: Panorama, count: int) -> PanoramaLights:
     """Divide a panorama into `count` lights (fewer if it has fewer pixels) and a remainder.
 
     The areas begin with equal energy (Debevec 2005, "A median cut algorithm for light probe
     sampling"), then each consists of the directions nearest to its mean (Lloyd 1982, "Least squares
     quantization in PCM"). The light of an area is the radiance within MAX_RADIUS of its brightest
     part, or within twice its radius: a sun is a small light apart from its sky, and a soft box is
-    one disc or a few.
+    one disc or a few. Without lights, the remainder is the panorama.
     """
+    if not count:
+        none = np.zeros((0, 3))
+        return PanoramaLights(none, np.zeros(0), none, none, panorama.coefficients)
     radiance, directions, solid_angle = panorama._resampled
     light = radiance * solid_angle[..., None]
     weight = light.mean(axis=-1) + solid_angle * max(1e-6 * float(light.mean()), 1e-30)
@@ -255,8 +268,8 @@ class Environment:
         return np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]])
 
     def lights(self, count: int) -> tuple[Light, ...]:
-        """Return `count` disc lights, rotated and scaled; see :func:`panorama_lights`."""
-        split = panorama_lights(self.panorama, count)
+        """Return `count` disc lights, rotated and scaled; see :meth:`Panorama.lights`."""
+        split = self.panorama.lights(count)
         x, y, z = np.clip(split.directions @ self.turn, -1.0, 1.0).T
         azimuths, elevations = np.degrees(np.arctan2(x, z)), np.degrees(np.arcsin(y))
         irradiance = np.minimum(self.scale * split.irradiance, MAX_RADIANCE)
