@@ -22,7 +22,8 @@ compare         returns whether two images match, and why not; difference and sh
                 several images; shifted moves the image of a scene
 plan            finds the cheapest Shading within an error budget
 Landmarks       points on a mesh; load_landmarks reads a file, Renderer.landmarks finds their pixels
-load_cameras    reads cameras from a file; turntable returns cameras around a mesh
+load_cameras    reads cameras from a file; turntable returns cameras around a mesh, STANDARD_VIEWS
+                has the cameras of clinical photography
 save_animation  writes .gif, .webp or .mp4
 brdf, lobes     the reference functions in float64
 shader_source   returns a GLSL file for a target, with its includes inserted; shader_dir returns the
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from facerender.mesh.simplify import simplified as simplified
     from facerender.planning.plan import Plan as Plan
     from facerender.planning.plan import plan as plan
+    from facerender.scene.camera import STANDARD_VIEWS as STANDARD_VIEWS
     from facerender.scene.camera import Camera as Camera
     from facerender.scene.camera import turntable as turntable
     from facerender.scene.cameras import load_cameras as load_cameras
@@ -105,7 +107,7 @@ _HOMES = {
     "mesh.occlusion": ("with_occlusion",),
     "mesh.simplify": ("simplified",),
     "planning.plan": ("Plan", "plan"),
-    "scene.camera": ("Camera", "turntable"),
+    "scene.camera": ("STANDARD_VIEWS", "Camera", "turntable"),
     "scene.cameras": ("load_cameras",),
     "scene.environment": ("Environment", "EnvironmentFile", "Panorama", "load_environment"),
     "scene.job": ("ImageSettings", "Job", "Output", "load_scene"),

@@ -24,7 +24,7 @@ from facerender.comparison.compare import compare
 from facerender.comparison.result import LIMITS
 from facerender.comparison.sources import HIGHEST
 from facerender.errors import InputError
-from facerender.images.files import save_exr, save_png
+from facerender.images.files import png_bytes, save_exr
 from facerender.images.image import encode_srgb8
 
 SIDE = 128
@@ -56,7 +56,7 @@ class Runs:
         path = self.folder / run / name
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".png":
-            save_png(path, encode_srgb8(pixels[..., :3]), {})
+            path.write_bytes(png_bytes(encode_srgb8(pixels[..., :3]), {}))
         else:
             save_exr(path, pixels, {})
         return path

@@ -361,7 +361,7 @@ def test_cameras_of_a_gltf_file(mini, tmp_path):
 @pytest.mark.parametrize(
     ("node", "camera", "message"),
     [
-        ({"camera": 0}, {"type": "orthographic"}, "camera '' of head.glb is orthographic"),
+        ({"camera": 0}, {"type": "orthographic"}, "camera '' of head.glb has no projection"),
         ({"camera": 0}, {"perspective": {"yfov": 3.1}}, "head.glb: camera fov = 177"),
         ({"camera": 0}, {"perspective": {}}, r"cameras\[0\].perspective.yfov is missing"),
         ({"camera": 1}, {"perspective": {"yfov": 1}}, "= 1 is not an index into the 1 cameras"),

@@ -66,6 +66,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     **fields_of(partial(fr.Scene, fr.load_mesh(MINI_HEAD)), "ambient", "background"),
     **fields_of(fr.Camera, "fov", "target"),
     **fields_of(fr.Pose, "time"),
+    **fields_of(partial(fr.Output, "x.png"), "dpi"),
     **fields_of(fr.Shading, "environment_samples", "environment_lights"),
     **{name: (Range(0.0, HIGHEST), partial(compared, name)) for name in LIMITS},
     "exposure": (EXPOSURES, lambda value: fr.Output("x.png", exposure=value)),
@@ -74,7 +75,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     "fps": (Range(*FRAME_RATES), lambda value: fr.save_animation("x.gif", [IMAGE], value)),
     "memory": (MEMORY, lambda value: fr.Renderer((8, 8), memory=value)),
 }
-ONLY_CLI = ("budget", "within", "workers", "timeout", "tries", "chunk", "scatter_samples")
+ONLY_CLI = ("budget", "within", "workers", "timeout", "tries", "chunk", "scatter_samples", "bits")
 
 
 def numeric_options() -> list[tuple[str, argparse.Action]]:

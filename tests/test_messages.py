@@ -23,9 +23,9 @@ EXACT = {
     ),
     "render --camera west -o x.png": (
         "unknown camera 'west'; give front, three-quarter, profile, or AZIMUTH[,ELEVATION[,ZOOM]]"
-        " in degrees, where AZIMUTH may be a name; turntable[:N], for N views around the mesh "
-        "(8); gltf[:NAME], for cameras of the mesh file; or a camera file: .toml with "
-        "[[cameras]], .json or .npz with K and [R|t]"
+        " in degrees, where AZIMUTH may be a name; turntable[:N[,FROM..TO]], for N views "
+        "around the mesh (8), or on an arc; gltf[:NAME], for cameras of the mesh file; or a camera "
+        "file: .toml with [[cameras]], .json or .npz with K and [R|t]"
     ),
     "render --light moon -o x.png": (
         "unknown light 'moon'; give key, rim, fill, front, top, or "

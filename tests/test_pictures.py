@@ -13,7 +13,7 @@ from PIL import Image
 import facerender as fr
 from facerender.commands import main
 from facerender.comparison.pictures import BRIGHTER, DARKER
-from facerender.images.files import save_png
+from facerender.images.files import png_bytes
 from facerender.images.image import encode_srgb8, srgb_to_linear
 
 WHITE = (255, 240, 222)  # of a pixel that is brighter in B
@@ -154,7 +154,7 @@ def test_gain_is_a_linear_scale(pair):
 def test_a_sheet_holds_each_kind_of_image_at_its_place(tmp_path):
     rng = np.random.default_rng(1)
     cells = rng.integers(0, 256, (5, 30, 128, 3), dtype=np.uint8)
-    save_png(tmp_path / "b.png", cells[1], {})
+    (tmp_path / "b.png").write_bytes(png_bytes(cells[1], {}))
     sources = [
         *(cells[0], tmp_path / "b.png", str(tmp_path / "b.png"), Image.fromarray(cells[3])),
         fr.sheet([cells[4]]),

@@ -64,7 +64,7 @@ UNCHECKED = (
     *("Texture size", "Texture name", "Texture profile", "Texture decode", "plan progress"),
     *("Texture.from_image name", "Texture.from_array name", "Mesh.from_arrays name", "Mesh pose"),
     *("Frame only", "Frame transparent", "Frame metadata", "Renderer.gbuffer blended"),
-    *("Frame background", "Frame warned"),
+    *("Frame background", "Frame warned", "Frame mm_per_pixel"),
     *("Scene before", "load_mesh cache", "with_occlusion cache", "plan renderer", "plan sizes"),
 )
 METHODS = [
@@ -105,7 +105,7 @@ def objects(egl: Any) -> Iterator[dict[str, Any]]:
             **{"samples": 1, "table": {}, "tables": {}, "positions": np.eye(3), "backend": egl},
             **{"faces": [[0, 1, 2]], "texels": np.eye(3), "shader_source name": "ward"},
             **{"Texture.from_image image": Image.new("RGB", (2, 2)), "only": None},
-            **{"decode": lambda: Image.new("RGB", (2, 2)), "Frame.save path": "a.tiff"},
+            **{"decode": lambda: Image.new("RGB", (2, 2)), "Frame.save path": "a.gif"},
         }
 
 

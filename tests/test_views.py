@@ -357,7 +357,7 @@ def test_failed_animation_leaves_no_file(tmp_path: Path, suffix: str, images, me
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
+@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp", "tiff"])
 def test_standard_output_contains_only_the_image(
     kind: Any, capfdbinary: pytest.CaptureFixture[bytes]
 ):
@@ -375,7 +375,7 @@ def test_standard_output_contains_only_the_image(
 # --- frames --------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp"])
+@pytest.mark.parametrize("kind", ["png", "exr", "jpeg", "webp", "tiff"])
 def test_frame_in_memory_equals_its_file(frame: fr.Frame, kind: Any, tmp_path: Path):
     file = BytesIO()
     frame.save(file, format=kind)

@@ -169,6 +169,7 @@ PLACED = {
     "distortion": [-0.02, 0.001, 0.0, 0.0],
 }
 AIMED = {"position": [0.0, 0.0, 1.0], "target": [0.0, 0.1, 0.0], "fov": 30.0, "name": "left"}
+PARALLEL = {"orthographic": True, "view_height": 0.3}
 ORBIT = {"azimuth": 20.0, "elevation": 10.0, "zoom": 1.5, "frame": "face"}
 MATERIAL = {
     **{"albedo": [0.4, 0.3, 0.2], "m": 0.25, "roughness_factor": 0.5, "f0": 0.04, "ks": 0.9},
@@ -186,10 +187,11 @@ SHADING = {
 TERM = {"lobe": "d16", "fresnel": "dielectric", "masking": "kelemen", "m": 0.2, "small_slope": True}
 # Values that differ from their defaults, by class and table of a scene file.
 SAMPLES: dict[tuple[type, str], list[dict[str, Any]]] = {
-    (fr.Camera, "camera"): [PLACED, AIMED, ORBIT],
+    (fr.Camera, "camera"): [PLACED, AIMED, ORBIT, PARALLEL],
     (fr.Light, "lights"): [
         {"azimuth": 5.0, "elevation": 6.0, "irradiance": [1.0, 2.0, 3.0], "radius": 4.0},
         {"position": [1.0, 2.0, 3.0], "shadow": False},
+        {"azimuth": 5.0, "follow": True},
     ],
     (fr.EnvironmentFile, "environment"): [{"file": "a.exr", "rotation": 20.0, "scale": 0.5}],
     (fr.Material, "material"): [MATERIAL],

@@ -52,7 +52,7 @@ def draw_webgl(
         resolved = resolve(reduced(resolved, view, size, 1.0), shading, albedo)
     scene = resolved.scene
     steps = forward_passes(resolved, view, size)
-    camera = {"view_projection": view.matrix, "camera_position": view.position}
+    camera = {"view_projection": view.matrix, "camera_position": view.eye}
     camera["forward"] = view.forward
     blob = _Blob()
     passes = [

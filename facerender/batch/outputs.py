@@ -287,14 +287,19 @@ def landmark_record(path: str, view: View, mesh: Mesh, depth: Frame) -> list[dic
 
 def camera_record(view: View, mesh: Mesh, size: tuple[int, int]) -> dict[str, Any]:
     """Return a camera as plain data, with lengths in mesh units: image size in pixels, intrinsic
-    matrix "K", extrinsic matrix "Rt", "transform_matrix" and "distortion"; see docs/batch.md."""
+    matrix "K" or, for an orthographic camera, "view_height", extrinsic matrix "Rt",
+    "transform_matrix" and "distortion"; see docs/batch.md."""
     extrinsics = view.extrinsics(mesh)
     rotation = extrinsics[:, :3].T
     to_world = np.eye(4)
     to_world[:3, :3] = rotation * (1.0, -1.0, -1.0)
     to_world[:3, 3] = -rotation @ extrinsics[:, 3]
     camera: dict[str, Any] = {"width": size[0], "height": size[1]}
-    camera |= {"K": view.intrinsics(size).tolist(), "Rt": extrinsics.tolist()}
+    if view.orthographic:
+        camera["view_height"] = view.height(mesh)
+    else:
+        camera["K"] = view.intrinsics(size).tolist()
+    camera["Rt"] = extrinsics.tolist()
     camera["transform_matrix"] = to_world.tolist()
     return camera | ({"distortion": list(view.distortion)} if view.distortion else {})
 
@@ -307,6 +312,9 @@ def transforms_frame(camera: Mapping[str, Any], file_path: str) -> dict[str, Any
         problem = "the distortion coefficients k4 to k6, which transforms.json cannot store"
         remedy = "run the batch again without --transforms"
         raise InputError(f"{file_path}: its camera has {problem}: {remedy}")
+    if "K" not in camera:
+        problem = "is orthographic, which transforms.json cannot store"
+        raise InputError(f"{file_path}: its camera {problem}: run the batch without --transforms")
     (fx, _, cx), (_, fy, cy), _ = camera["K"]
     size = {"w": camera["width"], "h": camera["height"]}
     lens = {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}

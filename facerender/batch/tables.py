@@ -26,7 +26,7 @@ import numpy as np
 
 from facerender.errors import FacerenderError, InputError, clipped, quoted, reason
 from facerender.loading import MESH_PATHS
-from facerender.scene.camera import Camera
+from facerender.scene.camera import STANDARD_ANGLES, Camera
 from facerender.scene.environment import EnvironmentFile
 from facerender.scene.light import Light
 from facerender.scene.scene import default_lights
@@ -432,6 +432,8 @@ def grid_rows(tables: Table) -> Iterator[Table]:
     count = _whole("random.count", chance.pop("count", 1), 1)
     seed = _whole("random.seed", chance.pop("seed", 0), 0)
     random = [*_leaves(chance, {*_DISTRIBUTIONS, "choice"})]
+    if grid.get("camera") == "standard":
+        grid = {**grid, "camera": [*STANDARD_ANGLES]}
     axes = [(key, *_axis(key, value)) for key, value in _leaves(grid, {"from", "to", "step"})]
     draws = [_random(key, how, seed) for key, how in random]
     if len(axes) > _MAX_AXES or len(random) > _MAX_AXES:

@@ -28,6 +28,7 @@ from facerender.errors import FacerenderError, FacerenderWarning, InputError, cl
 
 COMMANDS = {
     "render": "render a mesh to one image, several images or an animation",
+    "views": "render the standard views of scans of a face, with sheets",
     "info": "list the parts, materials, maps and size of a mesh file",
     "batch": "render a table of jobs on all cores or a Dask cluster",
     "plan": "find a cheaper frame within an error budget",

@@ -21,7 +21,7 @@ from facerender.material import PRESETS, Material
 from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import STUDIO, EnvironmentFile
 from facerender.scene.job import ImageSettings, Output
-from facerender.scene.light import LIGHTS, Light
+from facerender.scene.light import LIGHTS, RIGS, Light
 from facerender.scene.pose import Pose
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
@@ -41,7 +41,8 @@ from facerender.values.fields import (
 from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS
 
 WHERE = (
-    f"{ORBITS}, where AZIMUTH may be a name; turntable[:N], for N views around the mesh (8); "
+    f"{ORBITS}, where AZIMUTH may be a name; standard, for all seven standard views, frontal to "
+    "superior; turntable[:N[,FROM..TO]], for N views around the mesh (8), or on an arc; "
     "gltf[:NAME], for cameras of the mesh file; or a camera file: .toml with [[cameras]], .json or "
     ".npz with K and [R|t]"
 )
@@ -69,9 +70,9 @@ FIELDS: dict[str, tuple[Any, str]] = {
         "size=N|WxH samples=N anisotropy=N float_albedo full_maps alpha_threshold=ALPHA",
     ),
     "pose": (Pose, "clip=NAME time=SECONDS vertices=FILE[,FRAME] track"),
-    "camera": (Camera, "frame fov=DEGREES target=X,Y,Z"),
+    "camera": (Camera, "frame fov=DEGREES orthographic target=X,Y,Z"),
     "scene": (Scene, "background=R,G,B|FILE ambient=E"),
-    "outputs": (Output, "exposure=STOPS tone only"),
+    "outputs": (Output, "exposure=STOPS tone only bits=N dpi=N scale_bar"),
 }
 _BY_NAME = {
     word.partition("=")[0]: (record, word.partition("=")[2])
@@ -194,7 +195,12 @@ MESH | mesh file: {", ".join([*FORMATS][:-1])} or {[*FORMATS][-1]} | the built-i
     | Give {", ".join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or
     point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B,
     {range_of(Light, "irradiance")}. Append ,radius=DEGREES, {range_of(Light, "radius")}, for the
-    angular radius of an area light, and ,no-shadow for a light without shadows
+    angular radius of an area light, ,no-shadow for a light without shadows, and ,follow for a light
+    that follows the camera: its angles are then relative to the camera's
+--lights RIG | named lights: {" or ".join(RIGS)} | as --light
+    | softbox has two large soft lights at 45 degrees and a fill light, which follow the camera
+--mm-per-pixel MM | side of a pixel of orthographic views | the framed region fits
+    | Requires the length of a mesh unit: see --millimetres
 --shadows | shadows of all lights and of the environment map | as each light specifies
 --environment FILE[,ROTATION[,SCALE]] | environment map: .hdr, .exr, .npy, .npz or {STUDIO} | none
     | ROTATION is {range_of(EnvironmentFile, "rotation")}; SCALE, a factor on the radiance, is
@@ -217,8 +223,8 @@ scatter_samples
 albedo normal_map specular_map roughness_map lobe_map flip_v normal_map_y
 normal_strength allow_outside anisotropy float_albedo full_maps
 [scene]
-{PARTS} millimetres camera frame fov
-weight joint clip time vertices track light shadows environment
+{PARTS} millimetres camera frame fov orthographic
+weight joint clip time vertices track light lights shadows environment
 environment_samples environment_lights ambient occlusion background scene
 """
 # Changes of :func:`add_options` for --backend, and for the options of a scene.
@@ -235,6 +241,8 @@ SCENE_CHANGES: dict[str, dict[str, Any]] = {
     "weight": _APPENDED | {"limits": str(SHAPE_WEIGHTS)},
     "joint": _APPENDED | {"limits": ROTATIONS},
     "shadows": {"action": argparse.BooleanOptionalAction},
+    "lights": {"choices": tuple(RIGS)},
+    "mm_per_pixel": {"limits": Range(1e-6, 1e6, "mm")},
     "time": {"unset": "the whole clip"},
     "vertices": {"text": "vertex positions, all frames or one"},
     "m": {

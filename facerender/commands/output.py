@@ -90,6 +90,10 @@ EXAMPLES = {
         "facerender render --camera turntable:24 --frame head -o head.gif",
         "facerender render --budget 1/255 --size 512 -o cheap.png",
     ),
+    "views": (
+        "facerender views scan.obj -o views",
+        "facerender views before.obj after.obj --register --mm-per-pixel 0.3 -o views",
+    ),
     "info": ("facerender info head.glb", "facerender info scan.obj --json"),
     "batch": (
         "facerender batch jobs.csv -o out --size 256 --outputs image,mask,depth",

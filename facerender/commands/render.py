@@ -30,30 +30,30 @@ from facerender.commands.options import (
     step_log,
 )
 from facerender.commands.output import print_bytes, print_message, print_result
-from facerender.commands.scene import check_inputs, files_read, job_of, load, plays, sequence
+from facerender.commands.scene import (
+    check_inputs,
+    fields_set,
+    files_read,
+    job_of,
+    load,
+    plays,
+    sequence,
+)
 from facerender.drawing.context import BACKENDS
-from facerender.drawing.frame import IMAGE_FORMATS, Frame
+from facerender.drawing.frame import IMAGE_FORMATS, NO_SCALE, Frame
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError
-from facerender.images.files import (
-    FRAME_RATES,
-    MAX_BYTES,
-    MAX_SIDE,
-    Format,
-    check_opaque,
-    format_of,
-)
-from facerender.images.image import Tone
+from facerender.images.files import FRAME_RATES, MAX_BYTES, MAX_SIDE, check_opaque, format_of
 from facerender.scene.camera import Camera
 from facerender.scene.detail import LevelOfDetail
 from facerender.scene.job import ImageSettings, Output
 from facerender.scene.pose import Pose, posed
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
-from facerender.scene.view import view_of
+from facerender.scene.view import mm_per_pixel, to_scale, view_of
 from facerender.system.process import MIB, limit
 from facerender.terms.lobe import LOBES
-from facerender.values.fields import EXPOSURES, MEMORY, Range
+from facerender.values.fields import MEMORY, Range
 
 STANDARD_OUTPUT = "-"
 FPS = 12.0  # default frame rate of animations of several views
@@ -67,12 +67,12 @@ class Destination(NamedTuple):
     files : file names, or STANDARD_OUTPUT alone
     layout : "each" for one file per image, "moving" for one animation, "sheet" for one image with
         all images in a grid
-    format : format of an image on standard output; None for files
+    output : settings of the images; the suffix of its path is their format
     """
 
     files: tuple[str, ...]
     layout: Literal["each", "moving", "sheet"]
-    format: Format | None
+    output: Output
 
 
 def destination(
@@ -87,12 +87,13 @@ def destination(
     ------
     InputError : the path, or an option, does not fit these images
     """
-    result = Destination((path,), "sheet" if options.sheet else "each", options.format)
+    output = Output("image.png", **fields_set(options, "outputs")["outputs"])
+    result = Destination((path,), "sheet" if options.sheet else "each", output)
+    name = f"image.{options.format or 'png'}"
     if path == STANDARD_OUTPUT:
         if len(names) > 1 and not options.sheet:
             count = f"takes one image, and there are {len(names)}"
             raise InputError(f"-o - {count}: give --sheet or a file")
-        result = result._replace(format=options.format or "png")
     elif options.format is not None:
         raise InputError(
             f"--format {options.format} is for -o - only: the file name sets the format"
@@ -101,53 +102,51 @@ def destination(
         result = result._replace(layout="moving")
     else:
         result = result._replace(files=file_names(path, ["sheet"] if options.sheet else names))
+        name = result.files[0]
     if result.layout == "moving":
         from facerender.images.animation import check_animation
 
         check_animation(path, fps)
+        if output.bits != 8 or output.dpi is not None:
+            raise InputError(f"--bits 16 and --dpi: {path} is an animation; leave them out")
         if not path.lower().endswith(".webp"):
             check_opaque(path, transparent)
-    elif (result.format or format_of(result.files[0])) == "jpeg":
+        return result
+    if format_of(name) == "jpeg":
         check_opaque("JPEG", transparent)
-    return result
+    return result._replace(output=replace(output, path=name))
 
 
-def write(
-    target: Destination,
-    frames: Iterator[Frame],
-    count: int,
-    fps: float,
-    exposure: float,
-    tone: Tone,
-) -> Frame:
+def write(target: Destination, frames: Iterator[Frame], count: int, fps: float) -> Frame:
     """Write each of ``count`` images as soon as it is drawn, and return the last image."""
-    last = deque[Frame](maxlen=1)
+    last, output = deque[Frame](maxlen=1), target.output
 
     def remembered() -> Iterator[Frame]:
         for frame in frames:
             last.append(frame)
             if target.layout == "moving":
-                frame.warn_of_clipping(exposure, tone)
+                frame.warn_of_clipping(output.exposure, output.tone)
             yield frame
 
     # One image gains nothing from a thread.
-    images = remembered() if count == 1 else _ahead(remembered())
+    images = remembered() if count == 1 else ahead(remembered())
     if target.layout == "moving":
         from facerender.images.animation import save_animation
 
-        save_animation(target.files[0], (frame.srgb8(exposure, tone) for frame in images), fps)
+        settings = output.exposure, output.tone, output.scale_bar
+        save_animation(target.files[0], (frame.srgb8(*settings) for frame in images), fps)
         return last[0]
     if target.layout == "sheet":
         images = iter([sheet(images, count)])
     for file, frame in zip(target.files, images, strict=True):
-        if target.format is not None:
-            print_bytes(frame.encoded(target.format, exposure, tone))
+        if file == STANDARD_OUTPUT:
+            print_bytes(frame.encoded(output))
         else:
-            frame.save(file, exposure, tone=tone)
+            frame.save(replace(output, path=file))
     return last[0]
 
 
-def _ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
+def ahead(frames: Iterator[Frame]) -> Iterator[Frame]:
     """Yield frames. A thread draws the next one while this thread encodes and writes: of the two,
     only drawing may change threads, because signals end the process in this thread."""
     with ThreadPoolExecutor(1) as executor:
@@ -214,6 +213,7 @@ def sheet(frames: Iterable[Frame], count: int) -> Frame:
     """Return one frame with ``count`` images in a grid; empty cells show the background. Each image
     is released after copying."""
     columns, rows = _grid(count)
+    scales = set[float | None]()
     for index, frame in enumerate(frames):
         height, width = frame.linear.shape[:2]
         if index == 0:
@@ -226,7 +226,8 @@ def sheet(frames: Iterable[Frame], count: int) -> Frame:
                 grid = replace(grid, background=linear[..., :3].copy())
         top, left = index // columns * height, index % columns * width
         linear[top : top + height, left : left + width] = frame.linear
-    return grid
+        scales.add(frame.mm_per_pixel)
+    return replace(grid, mm_per_pixel=scales.pop() if len(scales) == 1 else None)
 
 
 def _grid(count: int) -> tuple[int, int]:
@@ -260,7 +261,7 @@ def add(render: argparse.ArgumentParser) -> None:
 
 
 _OPTIONS = f"""
--o --output OUT | output file: .png, .jpg or .webp (8-bit sRGB), .exr (linear float32), or - for
+-o --output OUT | output file: .png, .tif, .jpg or .webp (sRGB), .exr (linear float32), or - for
     standard output | the mesh's name with .png {NEW_FILE} | Several views write OUT_000.png and so
     on, or replace {{index}} and {{name}} in OUT; a .gif, .webp or .mp4 holds all views. Requires
     pip install 'facerender[exr]' for .exr, 'facerender[mp4]' for .mp4
@@ -269,11 +270,11 @@ mesh
 [reflectance]
 lobe outside
 [scene]
-target triangles
+target mm-per-pixel triangles
 [planned frame]
 --budget ERROR | largest error of a cheaper frame to plan and render | none | {BUDGET}
 [image]
-size samples exposure tone only alpha_threshold
+size samples exposure tone bits dpi scale_bar only alpha_threshold
 --format | format of -o - | png
 --sheet | arrange all views in one image
 --fps N | images per second of an animation, or of a clip | {FPS:g}; {CLIP_FPS:g} of a clip
@@ -341,7 +342,6 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or f"{Path(job.mesh.path or 'head').stem}.png"
     playing = plays(options, job.pose)
     _check(options, output, playing, len(cameras))
-    EXPOSURES.check("exposure", options.exposure)
     step = step_log(options)
     # The mesh is loaded and dressed once; each frame of a clip then only moves it.
     unposed_job = replace(job, pose=Pose(), before=Pose())
@@ -363,11 +363,17 @@ def run(options: argparse.Namespace) -> int:
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size
+    if options.mm_per_pixel is not None:
+        arguments = scene.mesh, options.mm_per_pixel, job.image.size
+        cameras = {name: to_scale(camera, *arguments) for name, camera in cameras.items()}
+        scene = replace(scene, camera=next(iter(cameras.values())))
     if target.layout == "sheet":
         check_sheet(len(names), (width, height), options.memory)
     # A camera that cannot see the mesh is an error before the first image is written.
     for camera in cameras.values():
-        view_of(replace(scene, camera=camera), width / height)
+        view_of(seen := replace(scene, camera=camera), width / height)
+        if options.scale_bar and mm_per_pixel(seen, job.image.size) is None:
+            raise InputError(NO_SCALE)
     plan: dict[str, Any] = {}
     with Renderer.of(job, options.backend, options.memory) as renderer:
         step(f"image on {renderer.context.renderer}")
@@ -389,13 +395,14 @@ def run(options: argparse.Namespace) -> int:
             renderer.render(detail.of(posed_scene), shading, options.only, **keywords)
             for posed_scene in _scenes(scene, poses, [*cameras.values()], previous_pose)
         )
-        frame = write(target, frames, len(names), fps, options.exposure, options.tone)
+        frame = write(target, frames, len(names), fps)
     if options.json:
         result = {
             "output": target.files[0] if len(target.files) == 1 else target.files,
             "size": job.image.size,
             "backend": renderer.context.backend,
             "only": frame.only,
+            "mm_per_pixel": frame.mm_per_pixel,
             **frame.metadata,
             "warnings": options.warnings,
             **({"plan": plan} if plan else {}),

@@ -27,6 +27,7 @@ from facerender.scene.background import is_image
 from facerender.scene.camera import (
     CAMERA_FILES,
     MAX_CAMERAS,
+    STANDARD_ANGLES,
     TURNS,
     Camera,
     named,
@@ -95,8 +96,8 @@ def job_of(
     )
     # Texts: the job's records parse them, as in a scene file.
     tables |= values_of(options, "environment", "ambient", "background")
-    if options.light:
-        tables["lights"] = options.light
+    if rig := [options.lights] * bool(options.lights) + (options.light or []):
+        tables["lights"] = rig
     tables["pose"] = _pose(options, tables.get("pose", Pose()))
     tables["parts"] = part_materials(options, file.get("parts", {}))
     job = Job(**tables)
@@ -300,7 +301,7 @@ def _cameras(
     camera, path = job.camera, [*job.cameras]
     if path and not in_file:
         camera = path[0]
-    changes = values_of(options, "fov", "frame")
+    changes = values_of(options, "fov", "frame", "orthographic")
     if (target := getattr(options, "looked_at", None)) is not None:
         changes["target"] = target
     if not options.camera:
@@ -329,14 +330,22 @@ def _views(
     """
     word, _, argument = text.partition(":")
     if word == "turntable":
-        count = argument or "8"
+        count, comma, ends = (argument or "8").partition(",")
+        arc = numbers_in(ends.split(".."))
         if not count.isdecimal() or int(count[:9]) not in TURNS:
             raise InputError(f"--camera {text}: give turntable:N, with {TURNS} views")
-        return {f"turntable_{i:03d}": c for i, c in enumerate(turntable(camera, int(count)))}
+        if comma and len(arc) != 2:
+            raise InputError(f"--camera {text}: give turntable:N,FROM..TO, in degrees")
+        turns = turntable(camera, int(count), arc if comma else None)
+        return {f"turntable_{i:03d}": turn for i, turn in enumerate(turns)}
     if word == "gltf" or text.lower().endswith(CAMERA_FILES):
         cameras = _file_cameras(text, mesh, size)
         return {name: replace(file_camera, **changes) for name, file_camera in cameras.items()}
-    return {text.replace(",", "_"): orbiting(camera, **Camera.parse(text, WHERE))}
+    texts = STANDARD_ANGLES if text == "standard" else [text]
+    return {
+        text.replace(",", "_"): orbiting(camera, **{**Camera.parse(text, WHERE), **changes})
+        for text in texts
+    }
 
 
 def _file_cameras(text: str, mesh: MeshFile, size: tuple[int, int] | None) -> dict[str, Camera]:

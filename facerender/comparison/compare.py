@@ -25,9 +25,9 @@ from facerender.comparison.sources import Comparable, as_image, both, decimal, s
 from facerender.comparison.windows import BLOCK, EDGE, SLIVER, BlockStatistics, Mask, Strip
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_known, number_of, warn
-from facerender.images.files import MAX_BYTES, REFUSED, SUFFIXES, save_png
+from facerender.images.files import MAX_BYTES, REFUSED, SUFFIXES, png_bytes
 from facerender.images.image import Encoding, ImageData
-from facerender.system.files import check_file
+from facerender.system.files import check_file, write_bytes
 
 # Largest unexplained difference of a single pixel, keyed by the class of the pixel.
 _LONE = {
@@ -349,7 +349,8 @@ class Pair:
         if height * width > MAX_PIXELS:
             limit = f"at most {MAX_PIXELS}; give smaller images"
             raise InputError(f"no heat map of {width} x {height} pixels: {limit}")
-        save_png(path, heat_map(displayed(a) / 255.0, displayed(b) / 255.0), {})
+        heat = heat_map(displayed(a) / 255.0, displayed(b) / 255.0)
+        write_bytes(path, png_bytes(heat, {}))
 
     @classmethod
     def of(

@@ -67,6 +67,7 @@ FLOORS: dict[Encoding, float] = {"linear": 1e-3, "srgb8": 1.0}
 _STRIP = 256  # rows that are converted at once
 
 Bytes = NDArray[np.uint8]
+Relief = NDArray[np.float64]  # (H, W)
 
 
 def displayed(image: ImageData) -> Bytes:
@@ -230,7 +231,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     pixels = _painted(a, b, np.clip(signed / white, -1.0, 1.0), colors)
     unit = "" if a.encoding == "linear" else "/255"
     title = f"B - A: orange +, blue -, white = {decimal(white, 3)}{unit}"
-    frame = _frame(pixels, {"difference": title})
+    frame = picture(pixels, {"difference": title})
     return _Difference(**vars(frame), pair=(a, b), gain=gain if signed.any() else math.inf)
 
 
@@ -296,7 +297,7 @@ def sheet(
         texts[n] = text if scale in text or not text else f"{text}, {scale}"
     if columns is not None:
         check_range("columns", columns, 1, len(cells))
-    return _frame(arranged(cells, texts, columns), {})
+    return picture(arranged(cells, texts, columns), {})
 
 
 def side_by_side(reference: Comparable, image: Comparable) -> Frame:
@@ -309,9 +310,58 @@ def side_by_side(reference: Comparable, image: Comparable) -> Frame:
     return sheet([a, b, frame], ["A", "B", frame.metadata["difference"]])
 
 
-def _frame(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:
+def picture(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:
     """Return 8-bit sRGB pixels (H, W, 3) as an opaque frame, whose ``srgb8()`` are these pixels."""
     radiance = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
     linear = np.ones((*pixels.shape[:2], 4), dtype=np.float32)
     linear[..., :3] = radiance[pixels]
     return Frame(linear, None, False, metadata)
+
+
+OUTWARDS, INWARDS = (214, 47, 39), (69, 117, 180)  # colours of a surface that moved
+
+
+def changes(
+    pairs: Sequence[tuple[Relief, Relief]],
+    images: Sequence[Bytes],
+    titles: Sequence[str],
+    pixel: float,
+    unit: str,
+) -> Bytes:
+    """Return a sheet (H, W, 3) of how far a surface moved between two images each, in colours of
+    one scale: red outwards, blue inwards, and the full colour where only one of the images shows
+    the surface. The last cell is the scale.
+
+    pairs : heights (h, w) of the surface before and after, towards the camera; NaN for none
+    images : (h, w, 3), whose brightness shades the colours
+    pixel, unit : side of a pixel, in the unit of the heights; name of this unit
+    """
+    moved, distances = [], [np.zeros(1)]
+    for before, after in pairs:
+        # The distance of two parallel planes is their difference of height times the cosine of
+        # their slope.
+        slopes = [np.hypot(*np.gradient(relief, pixel)) for relief in (before, after)]
+        change = (after - before) / np.hypot(1.0, np.maximum(*slopes))
+        distances.append(np.abs(change[np.isfinite(change)]))
+        change[np.isnan(before) & ~np.isnan(after)] = np.inf
+        change[np.isnan(after) & ~np.isnan(before)] = -np.inf
+        moved.append(change)
+    largest = max(float(np.percentile(np.concatenate(distances), _FITTED)), 1e-3 * pixel)
+    step = 10.0 ** math.floor(math.log10(largest))
+    scale = next(step * factor for factor in (1.0, 2.0, 5.0, 10.0) if step * factor >= 0.99 * largest)
+    cells = []
+    for change, image in zip(moved, images, strict=True):
+        shade = 0.4 + 0.6 * image.mean(axis=-1, keepdims=True) / 255.0
+        cells.append(np.round(shade * _diverging(change / scale)).astype(np.uint8))
+    height, width = moved[0].shape
+    bar = np.repeat(_diverging(np.linspace(1.0, -1.0, height)[:, None]), width, axis=1)
+    legend = f"red: {scale:g} {unit} outwards, blue: inwards"
+    return arranged([*cells, bar.astype(np.uint8)], [*titles, legend])
+
+
+def _diverging(values: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return colours (..., 3) of values from -1 to 1, with white at 0; NaN is white."""
+    ends = np.array([INWARDS, (255, 255, 255), OUTWARDS], dtype=np.float64)
+    levels = np.clip(np.nan_to_num(values, posinf=1.0, neginf=-1.0), -1.0, 1.0)
+    channels = [np.interp(levels, (-1.0, 0.0, 1.0), channel) for channel in ends.T]
+    return np.stack(channels, axis=-1)

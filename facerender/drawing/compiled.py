@@ -285,7 +285,7 @@ class CompiledFrame:
             if index in self._tables and uploaded.table_setup is not setups[index]:
                 self.resources.draw_table(self._parts[index])
         for index in self._facing:
-            order = setups[index].facing(view.position)
+            order = setups[index].facing(view.eye)
             counts[index, "facing"] = self._uploaded[index].choose("facing", order)
         for index in self._sorted:
             setup = setups[index]
@@ -394,18 +394,30 @@ def _packed(uniform: Any, value: Any) -> bytes:
 
 def _rays(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
     """Return the columns of a matrix: the ray from the camera to the outer corner of pixel (0, 0),
-    and the change of the ray per pixel in x and y."""
+    and the change of the ray per pixel in x and y. The parallel rays of an orthographic camera
+    differ in their starts, which replace the rays."""
     far = _FAR_CORNERS @ np.linalg.inv(view.matrix)
-    rays = far[:, :3] / far[:, 3:] - view.position
+    rays = far[:, :3] / far[:, 3:] - (_span(view) if view.orthographic else view.position)
     rays[1] = (rays[1] - rays[0]) / size[0]
     rays[2] = (rays[2] - rays[0]) / size[1]
     return np.asarray(rays, dtype=np.float32)
 
 
+def _span(view: View) -> NDArray[np.float64]:
+    """Return the vector of an orthographic camera's rays, from their starts to the far plane. They
+    start before the near plane, because visible.glsl leaves out their first 0.1 %."""
+    return 2.02 / np.linalg.norm(view.matrix[:3, 2]) * view.forward
+
+
+def _camera_position(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
+    eye = np.append(-_span(view), 0.0) if view.orthographic else view.eye
+    return eye.astype(np.float32)
+
+
 # The uniforms of the camera, by name.
 _CAMERA: dict[str, Callable[[View, tuple[int, int]], NDArray[np.float32]]] = {
     "view_projection": lambda view, size: view.matrix.astype(np.float32),
-    "camera_position": lambda view, size: view.position.astype(np.float32),
+    "camera_position": _camera_position,
     "forward": lambda view, size: view.forward.astype(np.float32),
     "rays": _rays,
     "shadow_phase": lambda view, size: view.phase.astype(np.float32),

@@ -18,19 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facerender.drawing.prepare import ResolvedScene, resolve
-from facerender.errors import InputError, check_known, clipped, note, quoted, warn
+from facerender.errors import InputError, clipped, note, quoted, warn
 from facerender.images.animation import arranged
-from facerender.images.files import Format, exr_bytes, format_of, lossy_bytes, png_bytes, save_exr
-from facerender.images.image import TONES, ImageData, Tone, encode_srgb8, neutral
+from facerender.images.files import Format, exr_bytes, format_of, pillow_bytes, png_bytes
+from facerender.images.image import ImageData, Tone, encode_srgb8, encode_srgb16, neutral
+from facerender.images.scale_bar import draw_scale_bar
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh
 from facerender.scene.background import clear_color
+from facerender.scene.job import Output
 from facerender.scene.scene import DATA, Only, Scene
 from facerender.scene.shading import Shading
-from facerender.scene.view import View, hidden
+from facerender.scene.view import View, hidden, scale_of
 from facerender.system.files import write_bytes
 from facerender.texture.texture import Kind, Texture
-from facerender.values.fields import EXPOSURES
 from facerender.values.vectors import Vector, unit
 
 if TYPE_CHECKING:
@@ -68,15 +69,17 @@ def frame_metadata(
     albedo: Kind,
     shaded: ResolvedScene | None,
     settings: dict[str, str],
+    size: tuple[int, int],
 ) -> dict[str, str]:
     """Return a scene and its shading as text, without paths of files. The result keeps no renderer
     alive.
 
     It has the keys "mesh"; the factors and maps of materials by the names of :class:`Material`,
-    such as "m", unless all parts have the default; "camera", "light 0" and so on, "ambient",
-    "background", "environment", "before"; and "textures": "float", or "8-bit" if an 8-bit map is
-    used. Shaded images also have the fields of :class:`Shading` that differ from the defaults, the
-    fields of the specular term, and the lobe of each part if lobes differ from the shading's.
+    such as "m", unless all parts have the default; "camera", "scale", "light 0" and so on,
+    "ambient", "background", "environment", "before"; and "textures": "float", or "8-bit" if an
+    8-bit map is used. Shaded images also have the fields of :class:`Shading` that differ from the
+    defaults, the fields of the specular term, and the lobe of each part if lobes differ from the
+    shading's.
 
     shaded : resolved scene of shaded images
     settings : metadata of the renderer
@@ -94,6 +97,7 @@ def frame_metadata(
             texts[field.name] = _by_part(mesh, values)
     names = "camera", *(f"light {index}" for index in range(len(scene.lights)))
     texts |= zip(names, map(repr, (scene.camera, *scene.lights)), strict=True)
+    texts["scale"] = scale_of(scene, size)
     back = scene.background
     back = PurePath(back.name).name if isinstance(back, ImageData) else back
     texts |= {"ambient": str(scene.ambient), "background": str(back)}
@@ -151,6 +155,10 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
 
 
 IMAGE_FORMATS: tuple[Format, ...] = get_args(Format)
+NO_SCALE = (
+    "a scale bar needs the size of a pixel: give an orthographic camera (--orthographic, "
+    "--mm-per-pixel) and a known unit (--millimetres)"
+)
 _COVERED, _CLIPPED = 0.99, 0.01  # coverage of pixels that may clip; fraction without a warning
 
 
@@ -179,13 +187,15 @@ class Frame:
           hidden in the frame before. Points behind the camera of the frame before have no motion;
           there coverage is 0
     only : the term that the image shows; None for the whole image
-    transparent : whether a PNG or WebP gets an alpha channel; true if the scene has no background
+    transparent : whether PNG, TIFF and WebP files get an alpha channel; true if the scene has no
+        background
     metadata : all parameters of the image as text: facerender's version, GL_RENDERER, GL_VERSION,
         settings of the renderer, and the values of ``frame_metadata`` in
         ``facerender/drawing/frame.py``
     background : colour or image (H, W, 3) behind the mesh, linear RGB, which exposure and tone
         leave unchanged; None for none, or for radiance, such as the environment
     warned : exposures at which images of this mesh were clipped, with a warning
+    mm_per_pixel : width of a pixel in mm; None for perspective images and unknown units
     """
 
     linear: NDArray[np.float32]
@@ -194,12 +204,15 @@ class Frame:
     metadata: Mapping[str, str]
     background: NDArray[np.float32] | Vector | None = None
     warned: set[float] = dataclasses.field(default_factory=set)
+    mm_per_pixel: float | None = None
 
     def __post_init__(self) -> None:
         if self.linear.ndim != 3:
             raise InputError(f"linear = {quoted(self.linear)}: give an array (H, W, 4)")
 
-    def srgb8(self, exposure: float = 0.0, tone: Tone = "linear") -> NDArray[np.uint8]:
+    def srgb8(
+        self, exposure: float = 0.0, tone: Tone = "linear", scale_bar: bool = False
+    ) -> NDArray[np.uint8]:
         """Return an 8-bit image for display: (H, W, 3), or (H, W, 4) with straight alpha if
         ``transparent`` is true.
 
@@ -211,31 +224,36 @@ class Frame:
         exposure : exposure of radiance and albedo, in stops; default 0
         tone : tone mapping of radiance: "linear" (default) clips it at 1, "neutral" compresses it,
             see :func:`facerender.images.image.neutral`
+        scale_bar : whether a scale bar is drawn, as in :meth:`save`
         """
-        return self._display(exposure, tone)[0]
+        return self._display(Output("a.png", None, exposure, tone, scale_bar=scale_bar))[0]
 
-    def _display(self, exposure: float, tone: Tone) -> tuple[NDArray[np.uint8], dict[str, str]]:
-        """Return the result of :meth:`srgb8`, and further metadata: the linear values that the
-        bytes stand for, and an exposure and a tone that change them."""
-        EXPOSURES.check("exposure", exposure)
-        check_known("tone", tone, TONES)
-        tone = "linear" if self.only in DATA else tone
+    def _display(self, output: Output) -> tuple[NDArray[Any], dict[str, str]]:
+        """Return the result of :meth:`srgb8` with 8 or 16 bits, and further metadata: the linear
+        values that the pixels stand for, and an exposure and a tone that change them."""
+        tone = "linear" if self.only in DATA else output.tone
+        exposure, bits = output.exposure, output.bits
         color, coverage = self.linear[..., :3], self.linear[..., 3:]
         metadata = {}
         if self.only in _CONVERSIONS:
-            values, metadata["range"] = _CONVERSIONS[self.only](color, coverage)
-            pixels = _bytes(values)
+            values, text = _CONVERSIONS[self.only](color, coverage)
+            metadata["range"] = text.format(white=2**bits - 1, dark=round(0.1 * (2**bits - 1)))
+            pixels = _levels(values, bits)
         else:
             if self.transparent:
                 color = np.divide(color, np.maximum(coverage, 1e-6), dtype=np.float32)
             if exposure or tone != "linear":
                 color = self._exposed(color, coverage, 2.0**exposure, tone)
                 metadata["tone"] = tone if tone != "linear" else ""
-            pixels = encode_srgb8(color)
+            pixels = encode_srgb8(color) if bits == 8 else encode_srgb16(color)
             metadata["exposure"] = str(float(exposure)) if exposure else ""
             metadata["range"] = "sRGB of 0 to 1" if self.only else ""
         if self.transparent:
-            pixels = np.concatenate([pixels, _bytes(coverage)], axis=-1)
+            pixels = np.concatenate([pixels, _levels(coverage, bits)], axis=-1)
+        if output.scale_bar:
+            if self.mm_per_pixel is None:
+                raise InputError(NO_SCALE)
+            draw_scale_bar(pixels, self.mm_per_pixel)
         return pixels, {name: text for name, text in metadata.items() if text}
 
     def _exposed(
@@ -276,54 +294,78 @@ class Frame:
 
     def save(
         self,
-        path: str | os.PathLike[str] | IO[bytes],
+        path: str | os.PathLike[str] | IO[bytes] | Output,
         exposure: float = 0.0,
         format: Format | None = None,
         tone: Tone = "linear",
+        bits: int = 8,
+        dpi: float | None = None,
+        scale_bar: bool = False,
     ) -> None:
-        """Write the image as .png, .jpg or .webp (8-bit sRGB), or as .exr (linear float32).
+        """Write the image as .png, .tif, .jpg or .webp (sRGB), or as .exr (linear float32).
 
         The file is written atomically: a failure leaves no incomplete file.
 
         Parameters
         ----------
-        path : path of the file, or an object with a ``write`` method, such as ``io.BytesIO``
-        exposure : exposure of the 8-bit formats, in stops; default 0
-        format : "png", "exr", "jpeg" or "webp"; default: the format of the path's suffix, or PNG
-            for an object
-        tone : tone mapping of the 8-bit formats, as in :meth:`srgb8`
+        path : path of the file, an object with a ``write`` method, such as ``io.BytesIO``, or an
+            :class:`Output`, which has the path and all other parameters
+        exposure : exposure of the sRGB formats, in stops; default 0
+        format : "png", "exr", "jpeg", "webp" or "tiff"; default: the format of the path's suffix,
+            or PNG for an object
+        tone : tone mapping of the sRGB formats, as in :meth:`srgb8`
+        bits : bits per channel: 8 (default), or 16 for PNG
+        dpi : pixels per inch that the sRGB formats store, in [1, 10000]; default: the true scale if
+            ``mm_per_pixel`` is set, otherwise none
+        scale_bar : whether a scale bar is drawn in a lower corner; requires ``mm_per_pixel``
 
         Raises
         ------
         InputError : the suffix is unknown, the path cannot be written, the Python package for EXR
-            is missing, or a JPEG would be transparent
+            is missing, a JPEG would be transparent, or a parameter does not fit the format
 
         Warns (FacerenderWarning), once for a mesh and an exposure, if more than 1 % of the covered
         pixels are brighter than white in an 8-bit format.
         """
         if format is not None and format not in IMAGE_FORMATS:
             raise InputError(f"format = {quoted(format)}: give {', '.join(IMAGE_FORMATS)}")
-        EXPOSURES.check("exposure", exposure)
-        if not isinstance(path, str | os.PathLike):
-            path.write(self.encoded(format or "png", exposure, tone))
-        elif (file_format := format or format_of(path)) == "exr":
-            save_exr(path, self.linear, self.metadata)
+        if isinstance(path, Output):
+            output, path = path, path.path
         else:
-            write_bytes(path, self.encoded(file_format, exposure, tone))
+            named = format is None and isinstance(path, str | os.PathLike)
+            name: Any = path if named else f"image.{format or 'png'}"
+            output = Output(name, None, exposure, tone, bits, dpi, scale_bar)
+        content = self.encoded(output)
+        if isinstance(path, str | os.PathLike):
+            write_bytes(path, content)
+        else:
+            path.write(content)
 
     def encoded(
-        self, format: Format = "png", exposure: float = 0.0, tone: Tone = "linear"
+        self,
+        format: Format | Output = "png",
+        exposure: float = 0.0,
+        tone: Tone = "linear",
+        bits: int = 8,
+        dpi: float | None = None,
+        scale_bar: bool = False,
     ) -> bytes:
         """Return the content of an image file. For parameters and errors see :meth:`save`."""
-        if format == "exr":
+        output = format
+        if not isinstance(output, Output):
+            output = Output(f"image.{format}", None, exposure, tone, bits, dpi, scale_bar)
+        if (written := format_of(output.path)) == "exr":
             channels = {"RGBA"[: self.linear.shape[2]]: self.linear}
-            return exr_bytes("image.exr", channels, self.metadata)
-        pixels, further = self._display(exposure, tone)
-        self.warn_of_clipping(exposure, tone)
-        metadata = {**self.metadata, **further}
-        if format == "png":
-            return png_bytes(pixels, metadata)
-        return lossy_bytes(format, pixels, metadata)
+            return exr_bytes(output.path, channels, self.metadata)
+        pixels, further = self._display(output)
+        self.warn_of_clipping(output.exposure, output.tone)
+        metadata, dpi = {**self.metadata, **further}, output.dpi
+        if dpi is None and self.mm_per_pixel:
+            dpi = 25.4 / self.mm_per_pixel
+            dpi = dpi if 1.0 <= dpi <= 65535.0 else None  # the range of JPEG
+        if written == "png":
+            return png_bytes(pixels, metadata, dpi, srgb=self.only not in _CONVERSIONS)
+        return pillow_bytes(written, pixels, metadata, dpi)
 
     @property
     def image(self) -> Image:
@@ -342,8 +384,9 @@ class Frame:
         return f"<Frame {width} x {height}{term}{', transparent' * self.transparent}>"
 
 
-def _bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
-    return np.round(np.clip(values, 0.0, 1.0) * 255.0).astype(np.uint8)
+def _levels(values: NDArray[np.float32], bits: int = 8) -> NDArray[Any]:
+    """Return values in [0, 1], clamped, as integers of 8 or 16 bits."""
+    return np.round(np.clip(values, 0.0, 1.0) * (2.0**bits - 1.0)).astype(f"uint{bits}")
 
 
 def _part_colors(numbers: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -365,7 +408,7 @@ def _motion(motion: NDArray[np.float32], coverage: NDArray[np.float32]) -> _Conv
     longest = length.max()
     level = length / max(float(longest), 1e-30)
     turns = np.asarray(np.arctan2(y, x) / (2.0 * np.pi), dtype=np.float32)
-    text = f"brightness 255 at {longest:.6g} pixels" if coverage.any() else ""
+    text = f"brightness {{white}} at {longest:.6g} pixels" if coverage.any() else ""
     return np.asarray(level[..., None] * _hue(turns), dtype=np.float32), text
 
 
@@ -375,17 +418,18 @@ def _depth(depth: NDArray[np.float32], coverage: NDArray[np.float32]) -> _Conver
         return depth, ""
     near, far = inside.min(), inside.max()
     brightness = 1.0 - 0.9 * (depth - near) / max(float(far - near), 1e-30)
-    return brightness * coverage, f"255 at {near:.6g}, 26 at {far:.6g} mesh units"
+    return brightness * coverage, f"{{white}} at {near:.6g}, {{dark}} at {far:.6g} mesh units"
 
 
-# Colours in [0, 1] of 8-bit images by term, and the linear values that they stand for. The
-# arguments are the linear colours (H, W, 3) and the coverage (H, W, 1).
+# Colours in [0, 1] of display images by term, and the linear values that their levels stand for: a
+# text with fields for the levels of 1 and 0.1. The arguments are the linear colours (H, W, 3) and
+# the coverage (H, W, 1).
 _Converted = tuple[NDArray[np.float32], str]
 _CONVERSIONS: dict[str | None, Callable[..., _Converted]] = {
     **dict.fromkeys(
-        ("cosines", "visibility", "mask"), lambda color, _: (color, "0 at 0, 255 at 1")
+        ("cosines", "visibility", "mask"), lambda color, _: (color, "0 at 0, {white} at 1")
     ),
-    "normal": lambda color, coverage: ((color * 0.5 + 0.5) * coverage, "0 at -1, 255 at 1"),
+    "normal": lambda color, coverage: ((color * 0.5 + 0.5) * coverage, "0 at -1, {white} at 1"),
     "parts": lambda color, _: (_part_colors(color[..., 0]), "a colour for each part"),
     "motion": _motion,
     "depth": _depth,
@@ -468,13 +512,13 @@ class GBuffer:
         light as PNG, which notebooks display. Transparent layers are left out."""
         covered, first = self.part[..., None] >= 0, self.visibility[..., :1]
         layers = {
-            "part": _bytes(_part_colors(self.part + np.float32(1.0))),
-            "normal": _bytes((self.normal * 0.5 + 0.5) * covered),
+            "part": _levels(_part_colors(self.part + np.float32(1.0))),
+            "normal": _levels((self.normal * 0.5 + 0.5) * covered),
             "albedo": encode_srgb8(self.albedo),
         }
         for name, image in {"m": self.m, "occlusion": self.occlusion, "visibility": first}.items():
             if image.size:
-                layers[name] = _bytes(image.reshape(covered.shape) * covered).repeat(3, axis=-1)
+                layers[name] = _levels(image.reshape(covered.shape) * covered).repeat(3, axis=-1)
         return png_bytes(arranged([*layers.values()], [*layers], columns=3), {})
 
     def __repr__(self) -> str:
@@ -529,7 +573,7 @@ def data_image(
         position, normal = (
             planes[name][covered, :3].astype(np.float64) for name in ("position", "normal")
         )
-        l = v = unit(view.position - position)
+        l = v = view.towards(position)
         for light in scene.lights[:1]:
             l, _ = light.kind.lighting(light, scene.mesh.space, position)
         image = np.zeros((*covered.shape, 4), dtype=np.float32)

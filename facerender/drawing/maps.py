@@ -361,6 +361,6 @@ def _behind(look: Appearance, region: RefractingRegion, area: Area) -> Iterator[
         order = region.within[part.index]
         if part.material.transmission > 0.0 or not len(order):
             continue
-        further: dict[str, Any] = {"camera_position": camera[:3], **region.uniforms}
+        further: dict[str, Any] = {"camera_position": camera, **region.uniforms}
         draw = shade_draw(plain, part, None, 0.0, None, ("BEHIND_REFRACTION",), **further)
         yield replace(draw, area=area, order=order)

@@ -76,7 +76,7 @@ def motion_vectors(
             continue
         index = (texels[pixels, 1] * INDEX_BASE + texels[pixels, 2]).astype(np.int64)
         if resolved_part.material.double_sided is False:
-            index = scene.mesh.setups[part_index].facing(flat.position)[index]
+            index = scene.mesh.setups[part_index].facing(flat.eye)[index]
         part, old_part = (frame.mesh.parts[part_index] for frame in (scene, before))
         visible, index = _unique(index, len(part.faces))
         corners, old_corners = (pose.positions[part.faces[visible]] for pose in (part, old_part))

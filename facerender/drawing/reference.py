@@ -17,6 +17,7 @@ from facerender.mesh.part import Space
 from facerender.scene.light import Light, half_sum
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading, Term
+from facerender.scene.view import following
 from facerender.terms.environment import (
     cook_torrance_albedo,
     cook_torrance_albedo_mean,
@@ -25,7 +26,6 @@ from facerender.terms.environment import (
     reflected,
 )
 from facerender.terms.model import cosine_disc, dot, slope_filtered, slope_variance_disc
-from facerender.values.vectors import unit
 
 Float = NDArray[np.float64]
 
@@ -108,8 +108,10 @@ def scattered(gbuffer: GBuffer, scene: Scene, shading: Shading, terms: Layers) -
     position, area = gbuffer.normalised_position.astype(np.float64), scatter_area(gbuffer.facing)
     for index, gaussians in enumerate(scattering.profiles, 1):
         pixels = profile == index
-        depth = (position[pixels] - gbuffer.view.position) @ gbuffer.view.forward
-        scale = scattering.pixels / (depth * scattering.millimetres)
+        scale = np.full(pixels.sum(), scattering.pixels / scattering.millimetres)
+        if not gbuffer.view.orthographic:
+            depth = (position[pixels] - gbuffer.view.position) @ gbuffer.view.forward
+            scale = scattering.pixels / (depth * scattering.millimetres)
         light = scatter(
             received, position, profile, area, pixels,
             scale=scale, unit=scattering.millimetres, gaussians=gaussians,
@@ -138,7 +140,7 @@ class _Pixels:
             return np.asarray(image[self.covered], dtype=np.float64)
 
         self.position, self.n = values(gbuffer.normalised_position), values(gbuffer.normal)
-        self.v = unit(gbuffer.view.position - self.position)
+        self.v = gbuffer.view.towards(self.position)
         self.weight = values(gbuffer.specular_weight) * (not material.unlit)
         self.occlusion = values(gbuffer.occlusion)[:, None]
         self.albedo = material.diffuse_weight / np.pi * values(gbuffer.albedo)
@@ -233,7 +235,7 @@ def layers(
     """
     if environment is None:
         environment = environment_layer(gbuffer, scene, shading)
-    resolved = resolve(scene, shading)
+    resolved = resolve(following(scene, gbuffer.view), shading)
     scene, terms = resolved.scene, resolved.appearance.terms
     shape = gbuffer.normalised_position.shape
     ambient, diffuse = np.zeros((2, *shape))

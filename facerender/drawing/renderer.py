@@ -53,7 +53,7 @@ from facerender.scene.job import ImageSettings, Job
 from facerender.scene.light import Light
 from facerender.scene.scene import DATA, ONLY, SHADING_RATES, Only, Scene, ShadingRate
 from facerender.scene.shading import Shading
-from facerender.scene.view import View, sample_grid, view_of
+from facerender.scene.view import View, following, mm_per_pixel, sample_grid, view_of
 from facerender.terms.lobe import AnyLobe
 from facerender.texture.texture import Kind
 from facerender.values.fields import MEMORY
@@ -266,6 +266,7 @@ class Renderer:
         if scene.background != Scene.background:  # the albedo has other colours only
             backs["albedo"] = clear_color(scene.background)
         frames, warned = {}, scene.mesh.geometry.derived.setdefault("clipped", set())
+        millimetres = mm_per_pixel(scene, self.size)
         for name in names:
             only: Any = None if name == "image" else name
             settings = {"samples": str(samples)} | rate | ({"only": name} if only else {})
@@ -273,9 +274,9 @@ class Renderer:
                 threshold = str(self.alpha_threshold)
                 settings = {"samples": "1", "only": name, "alpha_threshold": threshold}
             arguments = scene if name == "motion" else still, shading, only, self.albedo_kind
-            make = partial(frame_metadata, *arguments, shaded, self.metadata | settings)
+            make = partial(frame_metadata, *arguments, shaded, self.metadata | settings, self.size)
             look = scene.background is None, LazyMetadata(make), backs.get(name), warned
-            frames[name] = Frame(images[name], only, *look)
+            frames[name] = Frame(images[name], only, *look, millimetres)
         return frames
 
     def _behind(self, scene: Scene) -> NDArray[np.float32] | None:
@@ -305,6 +306,7 @@ class Renderer:
         scene of shaded images, None without such an image. See :meth:`render_outputs`."""
         view, images, resolved = view_of(scene, self.size[0] / self.size[1]), {}, None
         lens, wide, flat = self._undistorted(scene)
+        scene = following(scene, view)
         if lens:
             flat_images, resolved = wide._images(flat, shading, outputs, samples, rate)
             for name, image in flat_images.items():
@@ -449,6 +451,7 @@ class Renderer:
         """
         view = view_of(scene, self.size[0] / self.size[1])
         lens, wide, flat = self._undistorted(scene)
+        scene = following(scene, view)
         if lens:
             return lens.nearest(wide.gbuffer(flat, shading, blended), view)
         resolved = self._resolved(scene, shading, view, _DATA_SAMPLES)

@@ -28,9 +28,9 @@ from facerender.scene.background import clear_color
 from facerender.scene.camera import AZIMUTHS_BY_NAME, Camera
 from facerender.scene.job import Job
 from facerender.scene.light import LIGHT_KINDS, Light
-from facerender.scene.scene import AMBIENT, default_lights
+from facerender.scene.scene import AMBIENT, Scene, default_lights
 from facerender.scene.shading import SMALL_SLOPE, Shading, Term
-from facerender.scene.view import FRAMING_MARGIN, region_of, target_of
+from facerender.scene.view import FRAMING_MARGIN, following, region_of, target_of, view_of
 from facerender.terms.lobe import LOBES, MIN_SLOPE, AnyLobe, GPower, lobe_entry
 from facerender.terms.model import FRESNEL, MASKING, MODELS
 from facerender.texture.texture import Kind, Texture
@@ -204,10 +204,11 @@ def explorer_page(
     a, b : the two shadings of the skin that the page shows first
     plays : whether the job's pose stands for a sequence, of which the page shows one frame
     """
-    if job.camera.position is not None or job.camera.extrinsics is not None:
+    start = job.camera
+    if start.position is not None or start.extrinsics is not None or start.orthographic:
         raise InputError(
-            "the explorer needs a camera that orbits the mesh: give --camera front, three-quarter, "
-            "profile or AZIMUTH,ELEVATION,ZOOM"
+            "the explorer needs a perspective camera that orbits the mesh: give --camera front, "
+            "three-quarter, profile or AZIMUTH,ELEVATION,ZOOM"
         )
     if len(job.lights) > MAX_LIGHTS:
         raise InputError(
@@ -223,6 +224,8 @@ def explorer_page(
     if job.environment is not None and not lights:
         # The page does not draw environment maps, and would be black.
         lights, ambient = default_lights(False), AMBIENT
+    scene = Scene(mesh, start, lights)
+    lights = following(scene, view_of(scene, 1.0)).lights
     mesh_description, arrays, textures = packed(mesh)
     framed = region_of(mesh, job.camera.frame) or mesh
     factors = {name: job.material.get(name) for name in TERM_FACTORS}
@@ -283,6 +286,7 @@ def _omitted(job: Job, mesh: Mesh, plays: bool) -> list[str]:
     parameters = [name for name in shading.as_dict() if name not in _NAMED]
     image = [name for name in plain(job.image, changed=True) if name != "size"]
     features = {
+        "the motion of lights with the camera": any(light.follow for light in job.lights),
         "soft shadows": any(light.radius for light in cast),
         "shadows": any(not light.radius for light in cast),
         f"the environment map{replaced}": job.environment is not None,

@@ -6,6 +6,7 @@ import math
 import os
 import signal
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from fractions import Fraction
@@ -58,7 +59,9 @@ def _text(title: str, width: int) -> NDArray[np.uint8]:
     """Return a title (H, W, 3); a long one has a smaller font and, if needed, several lines."""
     from PIL import Image, ImageDraw, ImageFont
 
-    size, line = min(max(width // 20, _TEXT[0]), _TEXT[1]), clipped(title)
+    # Pillow's font has ASCII characters only.
+    plain = unicodedata.normalize("NFKD", title).encode("ascii", "ignore").decode()
+    size, line = min(max(width // 20, _TEXT[0]), _TEXT[1]), clipped(plain)
     long = max(ImageFont.load_default(size).getlength(line), 1.0)
     font = ImageFont.load_default(max(min(size * width / long, size), _TEXT[0]))
     excess = font.getlength(line) / width

@@ -3,7 +3,7 @@ metadata of the file."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
@@ -55,15 +55,29 @@ def encode_srgb8(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
     linear : linear radiance (N, ...)
     """
     encoded = np.empty(linear.shape, dtype=np.uint8)
-    step = max(_BLOCK * len(linear) // max(linear.size, 1), 1)
-    for start in range(0, len(linear), step):
-        rows = slice(start, start + step)
+    for rows in _blocks(linear):
         values = np.fmax(linear[rows], _LEAST, dtype=np.float32)
         bits = np.minimum(values, np.float32(1.0), out=values).view(np.uint32)
         total = _levels().take((bits >> _BITS) - np.uint32(_FIRST))
         total += bits & ((1 << _BITS) - 1)
         encoded[rows] = total >> _BITS
     return encoded
+
+
+def encode_srgb16(linear: NDArray[np.float32]) -> NDArray[np.uint16]:
+    """Encode linear radiance as 16-bit sRGB: the nearest of the 65,536 levels; see
+    :func:`encode_srgb8`."""
+    encoded = np.empty(linear.shape, dtype=np.uint16)
+    for rows in _blocks(linear):
+        values = np.fmax(linear[rows], 0.0, dtype=np.float64)
+        encoded[rows] = np.round(65535.0 * linear_to_srgb(values))
+    return encoded
+
+
+def _blocks(values: NDArray[np.float32]) -> Iterator[slice]:
+    """Yield slices of rows that have about _BLOCK values each."""
+    step = max(_BLOCK * len(values) // max(values.size, 1), 1)
+    return (slice(start, start + step) for start in range(0, len(values), step))
 
 
 Tone = Literal["linear", "neutral"]

@@ -80,8 +80,9 @@ _SCHEMA = {
     "mode: mode, targets: [{#accessors}], extras: any, extensions: primitive extensions",
     "primitive extensions": "KHR_draco_mesh_compression: draco",
     "draco": "bufferView!: #bufferViews, attributes!: {size}",
-    "cameras": "name: text, perspective: perspective",
+    "cameras": "name: text, perspective: perspective, orthographic: orthographic",
     "perspective": "yfov!: number",
+    "orthographic": "ymag!: number",
     "nodes": "name: name, mesh: #meshes, skin: #skins, weights: [number], camera: #cameras, "
     "children: [#nodes], matrix: 16 number, translation: 3 number, scale: 3 number, "
     "rotation: 4 number, extensions: node extensions",

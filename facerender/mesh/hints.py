@@ -328,6 +328,15 @@ def millimetres_of(mesh: Mesh) -> tuple[float, bool] | None:
     return float(f"{length:.2g}"), False
 
 
+def known_millimetres(mesh: Mesh) -> float | None:
+    """Return the length of a mesh unit in mm: the mesh's, or else the probable one if it is
+    certain; None if it would be a guess."""
+    if mesh.millimetres is not None:
+        return mesh.millimetres
+    length, certain = millimetres_of(mesh) or (None, False)
+    return length if certain else None
+
+
 def unit_of(mesh: Mesh) -> str | None:
     """Return the option that sets the length of a mesh unit, with the reason; None if the length is
     not probable."""

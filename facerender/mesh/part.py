@@ -214,14 +214,14 @@ class TriangleSetup:
         normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
         return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
 
-    def facing(self, camera: Float) -> NDArray[np.int64]:
-        """Return the indices of the triangles that can face a camera at the given position (3,).
+    def facing(self, eye: Float) -> NDArray[np.int64]:
+        """Return the indices of the triangles that can face a camera, a homogeneous point (4,).
 
         Triangles that are seen edge-on are included, because a driver rounds positions to fractions
         of a pixel before it decides which triangles are back faces.
         """
-        edge_on = -_EDGE_ON * (1.0 + math.sqrt(camera @ camera))
-        return (np.array((*camera, 1.0), dtype=np.float32) @ self.planes > edge_on).nonzero()[0]
+        edge_on = -_EDGE_ON * (1.0 + math.sqrt(eye[:3] @ eye[:3]))
+        return (eye.astype(np.float32) @ self.planes > edge_on).nonzero()[0]
 
 
 def areas_of(

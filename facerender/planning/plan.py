@@ -19,7 +19,7 @@ from facerender.drawing.prepare import resolve
 from facerender.drawing.renderer import Renderer
 from facerender.errors import InputError, number_of
 from facerender.glsl.library import Language, Target, call, term_source
-from facerender.images.files import save_png
+from facerender.images.files import png_bytes
 from facerender.mesh.mesh import drawn_alpha
 from facerender.planning import search
 from facerender.planning.budget import ROUNDING, Budget, highest_but
@@ -33,7 +33,7 @@ from facerender.scene.job import scene_toml
 from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
 from facerender.system import cache as disk_cache
-from facerender.system.files import digest_of
+from facerender.system.files import digest_of, write_bytes
 from facerender.system.process import Progress, no_progress
 from facerender.texture.texture import Texture
 from facerender.values.fields import Several, parameters
@@ -215,7 +215,7 @@ class Plan:
         heat = np.stack([np.interp(fractions, _STOPS, ramp) for ramp in _COLORS.T], axis=-1)
         heat[fractions > 1.0] = _OVER
         comment = f"{self._error()}; white is {self.budget.text(self.budget.limit)}"
-        save_png(path, np.round(heat).astype(np.uint8), {"Comment": comment})
+        write_bytes(path, png_bytes(np.round(heat).astype(np.uint8), {"Comment": comment}))
 
     @property
     def _is_full(self) -> bool:

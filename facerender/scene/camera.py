@@ -8,7 +8,7 @@ OpenCV 4, "Camera Calibration and 3D Reconstruction"."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -18,7 +18,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from facerender.errors import InputError, quoted
 from facerender.values import vectors
-from facerender.values.fields import TEXT, Choice, IntegerRange, Limits, Range, build, field, record
+from facerender.values.fields import (
+    SWITCH,
+    TEXT,
+    Choice,
+    IntegerRange,
+    Limits,
+    Range,
+    build,
+    field,
+    record,
+)
 from facerender.values.vectors import AZIMUTHS, ELEVATIONS, IMAGE_SIZES, POSITIONS, Vector
 
 Float = NDArray[np.float64]
@@ -116,10 +126,24 @@ Size = int | tuple[int, int]
 
 FRAMES: tuple[RegionName, ...] = get_args(RegionName)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": -90.0}
+# Azimuth and elevation of the standard views of clinical photography. Right and left are those of
+# the subject.
+STANDARD_ANGLES = {
+    "frontal": (0.0, 0.0),
+    "right-oblique": (-45.0, 0.0),
+    "left-oblique": (45.0, 0.0),
+    "right-lateral": (-90.0, 0.0),
+    "left-lateral": (90.0, 0.0),
+    "basal": (0.0, -60.0),
+    "superior": (0.0, 60.0),
+}
 # Texts that Camera.parse accepts, for messages and help.
-ORBITS = f"{', '.join(AZIMUTHS_BY_NAME)}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
+ORBITS = (
+    f"{', '.join((*AZIMUTHS_BY_NAME, *STANDARD_ANGLES))}, or AZIMUTH[,ELEVATION[,ZOOM]] in degrees"
+)
 CAMERA_FILES = (".toml", ".json", ".npz")
 MAX_CAMERAS = 100_000
+_STANDARD_ZOOM = 1.2  # crops the neck in views from above and from below
 TURNS = IntegerRange(1, 3600)  # views of a turntable: steps of at least 0.1 degrees
 _CHECKED = 33  # points per side of the grid on which the distortion is checked
 _NOT_ROTATED = 1e-3  # largest accepted element of |R R^T - I|; not 0, because users may round R
@@ -170,7 +194,7 @@ class _Distortion(Range):
 
 @record("camera ")
 class Camera:
-    """A perspective camera that orbits and frames the mesh, or has a position."""
+    """A perspective or orthographic camera that orbits and frames the mesh, or has a position."""
 
     TEXTS = ORBITS
 
@@ -185,6 +209,18 @@ class Camera:
         ELEVATIONS, 0.0, "direction from the target to the camera; at 90 it looks down"
     )
     fov: float = field(Range(1.0, 150.0, "degrees"), 25.0, "vertical angle of view")
+    orthographic: bool = field(
+        SWITCH,
+        False,
+        "parallel projection, which shows lengths across the view in one scale at every depth; "
+        "excludes fov",
+    )
+    view_height: float | None = field(
+        Range(1e-9, 1e9, "mesh units"),
+        None,
+        "height of the view of an orthographic camera; excludes zoom",
+        unset="the framed region fits",
+    )
     zoom: float = field(
         Range(0.01, 1000.0),
         1.0,
@@ -223,8 +259,8 @@ class Camera:
     size: tuple[int, int] | None = field(
         IMAGE_SIZES,
         None,
-        "width and height of the image that intrinsics refer to; rendered images need the same "
-        "aspect ratio",
+        "width and height of the image that intrinsics or view_height refer to; rendered images "
+        "need the same aspect ratio",
     )
     distortion: tuple[float, ...] | None = field(
         _Distortion(-1e6, 1e6),
@@ -248,6 +284,8 @@ class Camera:
             azimuth: float | str = ...,
             elevation: float = ...,
             fov: float = ...,
+            orthographic: bool = ...,
+            view_height: float | None = ...,
             zoom: float = ...,
             target: Vector | None = ...,
             position: Vector | None = ...,
@@ -260,11 +298,14 @@ class Camera:
         ) -> None: ...
 
     @classmethod
-    def parse(cls, text: str, texts: str = ORBITS) -> dict[str, float]:
+    def parse(cls, text: str, texts: str = ORBITS) -> dict[str, Any]:
         """Return the fields of an orbiting camera from ``AZIMUTH[,ELEVATION[,ZOOM]]``; AZIMUTH may
         be a name. Raises InputError, which lists the accepted ``texts``, for another text."""
         if text in AZIMUTHS_BY_NAME:
             return {"azimuth": AZIMUTHS_BY_NAME[text], "elevation": 0.0}
+        if text in STANDARD_ANGLES:
+            angles = zip(("azimuth", "elevation"), STANDARD_ANGLES[text], strict=True)
+            return {**dict(angles), "orthographic": True, "frame": "head", "zoom": _STANDARD_ZOOM}
         azimuth, *words = text.split(",")
         numbers = vectors.numbers_in([str(AZIMUTHS_BY_NAME.get(azimuth, azimuth)), *words])
         if not 1 <= len(numbers) <= 3:
@@ -343,7 +384,15 @@ class Camera:
             # The azimuth counts if the camera looks straight up or down; view_of() checks that.
             framing = ("elevation", "zoom") + ("frame",) * (self.target is not None)
             self._check_unused(framing, "position")
-        if (self.intrinsics is None) != (self.size is None):
+        if self.view_height is not None:
+            object.__setattr__(self, "orthographic", True)
+            self._check_unused(("zoom",), "view_height")
+        if self.orthographic:
+            self._check_unused(("fov", "intrinsics"), "orthographic")
+            if self.view_height is None and (self.position or self.extrinsics):
+                placement = "position" if self.position else "extrinsics"
+                raise InputError(f"camera orthographic and {placement} need view_height: give it")
+        if (self.intrinsics is None) != (self.size is None) and not self.orthographic:
             raise InputError("camera intrinsics and camera size belong together: give both")
         if self.intrinsics is not None and self.size is not None:
             self._check_intrinsics(self.size)
@@ -449,15 +498,33 @@ def named(cameras: Iterable[Camera], stem: str) -> dict[str, Camera]:
     return keyed
 
 
-def turntable(camera: Camera | str = Camera(), count: int = 8) -> tuple[Camera, ...]:
+# The standard views, which share one orthographic scale, by name.
+STANDARD_VIEWS: Mapping[str, Camera] = {
+    name: Camera(**Camera.parse(name), name=name) for name in STANDARD_ANGLES
+}
+
+
+def turntable(
+    camera: Camera | str = Camera(), count: int = 8, arc: Sequence[float] | None = None
+) -> tuple[Camera, ...]:
     """Return cameras at equal steps of azimuth around the mesh, at the given camera's elevation.
 
     The first camera has the azimuth of the given camera, which may be a name, as in
     :class:`Scene`. Its position, extrinsics, intrinsics and distortion are not used.
-    Raises InputError unless count is a whole number in [1, 3600].
+
+    arc : azimuths of the first and of the last camera, in degrees; None for a full turn, from the
+        azimuth of the given camera
+
+    Raises InputError unless count is a whole number in [1, 3600], and arc a pair of azimuths.
     """
     first, count = build(Camera, camera, "camera"), TURNS.check("count", count)
-    turns = (first.azimuth + 360.0 * turn / count for turn in range(count))
+    start, span, steps = first.azimuth, 360.0, count
+    if arc is not None:
+        if not isinstance(arc, tuple | list) or len(arc) != 2:
+            raise InputError(f"arc = {quoted(arc)}: give two azimuths, such as (-60, 60)")
+        start, end = (AZIMUTHS.check("arc", azimuth) for azimuth in arc)
+        span, steps = end - start, max(count - 1, 1)
+    turns = (start + span * turn / steps for turn in range(count))
     return tuple(orbiting(first, azimuth=azimuth) for azimuth in turns)
 
 

@@ -50,7 +50,8 @@ def load_cameras(
           "distCoeffs" or "D") are optional. Or a transforms.json with "frames", as
           ``facerender batch --transforms``, nerfstudio and instant-ngp write it
         - .npz: arrays named like the keys of a .json table; an extra first axis is the camera index
-        - .glb, .gltf: perspective cameras, with their pose in the scene and vertical angle of view
+        - .glb, .gltf: cameras, with their pose in the scene, and vertical angle of view, or height
+          of an orthographic view
     size : width and height of the images in pixels; used if the file has intrinsics without a size
     up, rotate : as in :func:`facerender.load_mesh`, for cameras in the glTF file of the mesh.
         Cameras of other files are in mesh space
@@ -83,8 +84,8 @@ def load_cameras(
 
 
 def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) -> dict[str, Camera]:
-    """Return the perspective cameras of a glTF scene, keyed by the name of the node or,
-    if the node has no name, by the name of the camera. For ``axes`` see :func:`axes_of`."""
+    """Return the cameras of a glTF scene, keyed by the name of the node or, if the node has no
+    name, by the name of the camera. For ``axes`` see :func:`axes_of`."""
     document = document_of(chunks(content, name)[0], name)
     cameras = []
     for index, world in scene_nodes(document, name, axes)[1].items():
@@ -93,13 +94,18 @@ def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) ->
             continue
         camera = document["cameras"][node["camera"]]
         label = node.get("name") or camera.get("name") or ""
-        if "perspective" not in camera:
-            cause = f"camera {quoted(label)} of {name} is orthographic"
-            raise InputError(f"{cause}: give a perspective one")
         with np.errstate(all="ignore"):
-            pose = world_to_camera(world / [*np.linalg.norm(world[:3, :3], axis=0), 1.0])
-        fov = math.degrees(camera["perspective"]["yfov"])
-        cameras.append(Camera(fov=fov, extrinsics=pose, name=label))
+            scale = np.linalg.norm(world[:3, :3], axis=0)
+            pose = world_to_camera(world / [*scale, 1.0])
+        lens: dict[str, Any] = {}
+        if "orthographic" in camera:
+            lens["view_height"] = 2.0 * abs(camera["orthographic"]["ymag"])
+        elif "perspective" in camera:
+            lens["fov"] = math.degrees(camera["perspective"]["yfov"])
+        else:
+            cause = f"camera {quoted(label)} of {name} has no projection"
+            raise InputError(f"{cause}: give perspective or orthographic")
+        cameras.append(Camera(**lens, extrinsics=pose, name=label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
     return named(cameras, "camera")

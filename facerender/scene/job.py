@@ -20,7 +20,7 @@ from facerender.loading import MESH_PATHS, MeshFile, load_mesh
 from facerender.material import MAPS, Factors, Material, PartFactors
 from facerender.mesh.mesh import Mesh, warn_of_one_lobe
 from facerender.scene.background import check_environment
-from facerender.scene.camera import Camera
+from facerender.scene.camera import STANDARD_VIEWS, Camera
 from facerender.scene.detail import LevelOfDetail, Planned
 from facerender.scene.environment import EnvironmentFile
 from facerender.scene.light import Light
@@ -85,7 +85,7 @@ class ImageSettings:
 class Output:
     """An image file to write."""
 
-    path: str = field(PATH, text="path with the suffix .png, .exr, .jpg or .webp")
+    path: str = field(PATH, text="path with the suffix .png, .tif, .exr, .jpg or .webp")
     only: Only | None = field(
         Choice(ONLY, "term"),
         None,
@@ -100,9 +100,27 @@ class Output:
         "tone mapping of all formats except .exr",
         "linear clips radiance at 1; neutral, the Khronos PBR Neutral tone mapper, compresses it",
     )
+    bits: int = field(Choice((8, 16)), 8, "bits per channel", "16 is for .png only")
+    dpi: float | None = field(
+        Range(1.0, 10_000.0, "pixels per inch"),
+        None,
+        "print resolution that all formats except .exr and animations store",
+        unset="the true scale of an orthographic image with a known unit, otherwise none",
+    )
+    scale_bar: bool = field(
+        SWITCH,
+        False,
+        "draw a scale bar in mm in all formats except .exr",
+        "Requires an orthographic camera and a known unit",
+    )
 
     def __post_init__(self) -> None:
-        format_of(self.path)
+        written = format_of(self.path)
+        if self.bits == 16 and written != "png":
+            raise InputError(f"bits = 16 is for .png only, and the image is {written}: give .png")
+        if written == "exr" and (self.dpi is not None or self.scale_bar):
+            name = "scale_bar" if self.scale_bar else f"dpi = {self.dpi:g}"
+            raise InputError(f"{name} is not for .exr: give .png, .tif, .jpg or .webp")
 
 
 @record()
@@ -153,7 +171,9 @@ class Job:
         PATH, None, "path of a landmark file; see :func:`facerender.load_landmarks`"
     )
     cameras: tuple[Camera, ...] = field(
-        Several(Camera), (), "camera path of ``facerender plan``, or the views of a scene file"
+        Several(Camera, {"standard": tuple(STANDARD_VIEWS.values())}),
+        (),
+        "camera path of ``facerender plan``, or the views of a scene file",
     )
 
     def __post_init__(self) -> None:

@@ -217,8 +217,11 @@ def located(
     # A plane through the point is at least as far as the point at one of the centres, so that
     # slanted surfaces need no tolerance. The tolerance is the size of a pixel at the point's depth,
     # because a hollow that the image resolves is not deeper between two pixels; and rounding.
-    pixel = depth / view.intrinsics((width, height)).diagonal()[:2].min()
-    slack = pixel + depth * _RESOLUTION + mesh.radius * _INTERPOLATION
+    slack = (
+        view.pixel(mesh, (width, height), depth)
+        + depth * _RESOLUTION
+        + mesh.radius * _INTERPOLATION
+    )
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)
     with np.errstate(invalid="ignore"):  # at the border, slopes continue; inf - inf is NaN
         inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)

@@ -50,6 +50,12 @@ class Light:
         "no area; area lights have soft shadows",
     )
     shadow: bool = field(SWITCH, True, "whether the mesh casts shadows in this light")
+    follow: bool = field(
+        SWITCH,
+        False,
+        "whether the light follows the camera: its azimuth and elevation are then relative to the "
+        "direction to the camera; excludes position",
+    )
 
     TEXTS = "a text such as key or key,no-shadow"
 
@@ -57,10 +63,11 @@ class Light:
     def parse(cls, text: str) -> dict[str, Any]:
         """Return the fields of a light from ``NAME``, ``AZIMUTH,ELEVATION[,IRRADIANCE]`` or
         ``point:X,Y,Z[,IRRADIANCE]``. IRRADIANCE is one number or R,G,B. Each form may end with
-        ``,radius=DEGREES`` and ``,no-shadow``. Raises InputError for another text."""
-        form, *options = re.split(r",(?=radius=|no-shadow\b)", text)
-        fields: dict[str, Any] = {"shadow": False} if "no-shadow" in options else {}
-        words = [word.removeprefix("radius=") for word in options if word != "no-shadow"]
+        ``,radius=DEGREES``, ``,no-shadow`` and ``,follow``. Raises InputError for another text."""
+        form, *options = re.split(r",(?=radius=|no-shadow\b|follow\b)", text)
+        switches: dict[str, Any] = {"no-shadow": {"shadow": False}, "follow": {"follow": True}}
+        fields = {k: v for word in options for k, v in switches.get(word, {}).items()}
+        words = [word.removeprefix("radius=") for word in options if word not in switches]
         if radii := vectors.numbers_in(words):
             fields["radius"] = radii[0]
         prefix, _, arguments = form.rpartition(":")
@@ -77,9 +84,9 @@ class Light:
         return {"azimuth": start[0], "elevation": start[1], **fields}
 
     def __post_init__(self) -> None:
-        for name in ("azimuth", "elevation"):
+        for name in ("azimuth", "elevation", "follow"):
             if self.position is not None and (value := getattr(self, name)):
-                pair = f"light {name} = {value:g} and position"
+                pair = f"light {name} = {value} and position"
                 raise InputError(f"{pair} exclude each other: leave one out")
 
     @property
@@ -234,8 +241,18 @@ LIGHTS: Mapping[str, Light] = {
 # Texts that Light.parse accepts, for messages.
 LIGHT_TEXTS = (
     f"{', '.join(LIGHTS)}, or AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then "
-    "optionally ,radius=DEGREES for an area light and ,no-shadow"
+    "optionally ,radius=DEGREES for an area light, ,no-shadow, and ,follow to follow the camera"
 )
+# Two large soft lights at 45 degrees and a fill light, as in clinical photography: all views of a
+# face are lit alike, and mirrored views are mirrored images.
+_BOX: dict[str, Any] = {"irradiance": 1.3, "radius": 20.0, "follow": True}
+RIGS: Mapping[str, tuple[Light, ...]] = {
+    "portrait": tuple(LIGHTS[name] for name in ("key", "rim", "fill")),
+    "softbox": (
+        *(Light(azimuth, 20.0, **_BOX) for azimuth in (-45.0, 45.0)),
+        Light(0.0, 0.0, 0.5, radius=20.0, shadow=False, follow=True),
+    ),
+}
 
 
 def disc_of(light: Light, space: Space) -> tuple[float, float] | None:

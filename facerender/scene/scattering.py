@@ -23,7 +23,8 @@ class Scattering:
     profiles : distinct profiles of the parts, without Gaussians narrower than half a pixel
     numbers : for each part the index of its profile, counted from 1; -1 for no scattering
     millimetres : millimetres per unit of the renderer's space
-    pixels : height in pixels of an object with height 1 at depth 1, in the renderer's space
+    pixels : height in pixels of an object with height 1 at depth 1, in the renderer's space; of an
+        orthographic camera at every depth
     """
 
     profiles: tuple[Gaussians, ...]
@@ -48,10 +49,12 @@ def scattering_of(scene: Scene, view: View, size: tuple[int, int]) -> Scattering
     millimetres = mesh.radius * mesh.millimetres
     if not _RADII[0] <= millimetres <= _RADII[1]:  # the search for the face takes time
         emit(mesh, wrong_unit, wrong_unit(mesh))
-    distance = float(np.linalg.norm(view.position - target_of(mesh, scene.camera)))
+    distance = 1.0
+    if not view.orthographic:
+        distance = float(np.linalg.norm(view.position - target_of(mesh, scene.camera)))
     pixels = 0.5 * size[1] / math.tan(math.radians(scene.camera.fov) / 2.0)
-    if scene.camera.intrinsics is not None:
-        pixels = float(view.intrinsics(size)[1, 1])
+    if view.orthographic or scene.camera.intrinsics is not None:
+        pixels = float(view.pixels(size)[1])
     pixel = millimetres * distance / pixels
     wide = [wide_gaussians(profile, pixel) if profile else () for profile in profiles_of_parts]
     profiles = tuple(dict.fromkeys(filter(None, wide)))

@@ -11,7 +11,7 @@ from facerender.mesh.mesh import Mesh
 from facerender.scene.background import BACKGROUNDS, ENVIRONMENT, BackgroundSource
 from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
-from facerender.scene.light import LIGHTS, Light
+from facerender.scene.light import RIGS, Light
 from facerender.values.fields import Built, Several, field, record
 from facerender.values.vectors import COLORS, Vector
 
@@ -53,10 +53,10 @@ class Scene:
         f"a :class:`Camera`, or text: {ORBITS}",
     )
     lights: tuple[Light, ...] = field(
-        Several(Light),
+        Several(Light, RIGS),
         None,
-        'each a :class:`Light`, or a text of ``--light``, such as "key" or "key,no-shadow". None '
-        "for key, rim and fill, or for no lights if there is an environment map",
+        'each a :class:`Light`, a text of ``--light``, such as "key" or "key,no-shadow", or a rig: '
+        f"{' or '.join(RIGS)}. None for portrait, or for no lights if there is an environment map",
     )
     ambient: float | Vector = field(
         COLORS,
@@ -106,7 +106,7 @@ class Scene:
 
 def default_lights(has_environment: bool) -> tuple[Light, ...]:
     """Return the lights of a scene that does not define any: an environment map replaces them."""
-    return () if has_environment else tuple(LIGHTS[name] for name in ("key", "rim", "fill"))
+    return () if has_environment else RIGS["portrait"]
 
 
 def set_default_light(scene: Any) -> None:

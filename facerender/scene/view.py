@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -12,17 +13,18 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, check_range
 from facerender.material import Material
-from facerender.mesh.hints import emit_framing
+from facerender.mesh.hints import emit_framing, known_millimetres, unit_of
 from facerender.mesh.mesh import Mesh, largest_opacity
 from facerender.mesh.part import Part, Region
 from facerender.scene.camera import Camera, RegionName, distort
 from facerender.scene.scene import Scene
-from facerender.values.vectors import IMAGE_SIZES, check_array, direction_to, within_reach
+from facerender.values.vectors import IMAGE_SIZES, check_array, direction_to, unit, within_reach
 
 Float = NDArray[np.float64]
 Pair = tuple[int, int]  # width and height
 
 FRAMING_MARGIN = 1.04
+_HEIGHTS = 1e-5, 1e5  # range of orthographic heights in mesh radii, for float32
 _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
 # Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
 _UNSEEN = 2e-4
@@ -41,7 +43,8 @@ class View:
     position : (3,) float64
     forward : (3,) float64, unit vector of the viewing direction
     matrix : (4, 4) float64, view matrix times projection matrix, for row vectors. Clip y = -1 is
-        the top of the image, so that a framebuffer has its rows from the top down
+        the top of the image, so that a framebuffer has its rows from the top down. Clip w is the
+        depth; for an orthographic camera it is 1
     distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
     number : of a shifted image among the images of a pixel's samples, see :attr:`phase`
     """
@@ -56,6 +59,33 @@ class View:
         vectors = self.position, self.forward
         start, direction = (", ".join(f"{value:.4g}" for value in vector) for vector in vectors)
         return f"<View from ({start}) along ({direction})>"
+
+    @property
+    def orthographic(self) -> bool:
+        """Whether all rays of the camera are parallel."""
+        return not self.matrix[:3, 3].any()
+
+    @property
+    def eye(self) -> Float:
+        """The camera as a homogeneous point (4,): the vector from a surface point p to the camera
+        is xyz - w p. It is the position and 1, or -forward and 0 for an orthographic camera."""
+        return np.append(-self.forward, 0.0) if self.orthographic else np.append(self.position, 1.0)
+
+    def towards(self, positions: Float) -> Float:
+        """Return the unit vectors to the camera from positions (..., 3) in the renderer's space."""
+        eye = self.eye
+        return unit(eye[:3] - eye[3] * positions)
+
+    def pixels(self, size: Pair) -> Float:
+        """Return the width and height (2,) in pixels, in an image of the given size, of a square
+        with sides of 1 across the view: at depth 1, or of an orthographic camera at every depth.
+        Lengths are in the renderer's space."""
+        return np.asarray(0.5 * np.multiply(size, self._lens[[0, 1], [0, 1]]))
+
+    def pixel(self, mesh: Mesh, size: Pair, depth: Float | float) -> Any:
+        """Return the side of a pixel at a depth; both are in mesh units."""
+        length = mesh.radius if self.orthographic else depth
+        return length / self.pixels(size).min()
 
     def project(self, mesh: Mesh, points: Float, size: int | Pair) -> tuple[Float, Float]:
         """Project points of mesh space to pixels, with the lens distortion, in float64.
@@ -74,20 +104,22 @@ class View:
         """
         size, points = IMAGE_SIZES.check("size", size), np.asarray(points)
         check_array("points", points, 3)
-        clip = self._clip(mesh, points)
-        depth = clip[:, 2]
+        clip, depth = self._clip(mesh, points)
         with np.errstate(all="ignore"):
-            flat = np.where(depth[:, None] > 0.0, clip[:, :2] / depth[:, None], np.nan)
+            flat = np.where(depth[:, None] > 0.0, clip[:, :2] / clip[:, 2:], np.nan)
         if self.distortion is not None:
             lens = self._lens
             focal, middle = lens[[0, 1], [0, 1]], lens[:2, 2]
             flat = distort((flat - middle) / focal, self.distortion) * focal + middle
         return (flat + 1.0) * np.divide(size, 2.0), depth * mesh.radius
 
-    def _clip(self, mesh: Mesh, points: Float) -> Float:
-        """Return clip x, y and w, (N, 3), of points (N, 3) of mesh space."""
+    def _clip(self, mesh: Mesh, points: Float) -> tuple[Float, Float]:
+        """Return clip x, y and w, (N, 3), and the depth (N,) of points (N, 3) of mesh space."""
         rows = np.column_stack([mesh.normalised(points), np.ones(len(points))])
-        return np.asarray(rows @ self.matrix[:, _XYW])
+        clip = np.asarray(rows @ self.matrix[:, _XYW])
+        if self.orthographic:
+            return clip, (rows[:, :3] - self.position) @ self.forward
+        return clip, clip[:, 2]
 
     @property
     def phase(self) -> Float:
@@ -99,6 +131,8 @@ class View:
     def directions(self, positions: Float) -> Float:
         """Return the directions (N, 3) in mesh space of the rays through positions (N, 2) of the
         undistorted image, whose x and y are from -1 to 1."""
+        if self.orthographic:
+            return np.broadcast_to(self.forward, (len(positions), 3))
         rays = np.column_stack([positions, np.ones(len(positions))])
         return np.asarray(rays @ np.linalg.inv(self.matrix[:3, _XYW]))
 
@@ -111,7 +145,10 @@ class View:
     def intrinsics(self, size: int | Pair) -> Float:
         """Return the matrix K, (3, 3), from camera space to pixels of an image of the given size.
         See :meth:`extrinsics` for camera space, and :meth:`project` for pixels. Values are rounded
-        to 1e-9 pixels, so that a central principal point is exact."""
+        to 1e-9 pixels, so that a central principal point is exact. Raises InputError for an
+        orthographic camera, whose pixels do not depend on the depth; see :meth:`height`."""
+        if self.orthographic:
+            raise InputError("an orthographic camera has no intrinsics: use its view_height")
         width, height = np.divide(IMAGE_SIZES.check("size", size), 2.0)
         pixels = np.array([[width, 0.0, width], [0.0, height, height], [0.0, 0.0, 1.0]])
         return np.round(pixels @ self._lens, 9)
@@ -122,20 +159,86 @@ class View:
 
         mesh : the scene's mesh, or one with the same bounds
         """
+        if self.orthographic:
+            axes = self.axes
+            return np.column_stack([axes, -axes @ mesh.to_mesh_space(self.position)])
         pose = np.asarray(np.linalg.solve(self._lens, self.matrix[:, _XYW].T), np.float64)
         pose[:, 3] = mesh.radius * pose[:, 3] - pose[:, :3] @ mesh.center
         return pose
 
     @property
+    def axes(self) -> Float:
+        """The axes (3, 3) of camera space in the renderer's space: x to the right, y down, z
+        forward."""
+        lens = self._lens
+        across = (self.matrix[:3, :2].T - lens[:2, 2:] * self.forward) / lens[[0, 1], [0, 1]][
+            :, None
+        ]
+        return np.vstack([across, self.forward])
+
+    def height(self, mesh: Mesh) -> float:
+        """Return the height of an orthographic camera's view in mesh units."""
+        return 2.0 * mesh.radius / float(self._lens[1, 1])
+
+    @property
     def _lens(self) -> Float:
-        """Matrix (3, 3) from camera space to clip x, y and w. Clip w is the depth. Clip x is a
-        multiple of camera-space x plus a multiple of the depth; for clip y, y replaces x."""
-        x, y, w = self.matrix[:3, _XYW].T
+        """Matrix (3, 3) from camera space to clip x, y and depth. Clip x is a multiple of
+        camera-space x plus a multiple of the depth; for clip y, y replaces x."""
+        x, y, w = self.matrix[:3, 0], self.matrix[:3, 1], self.forward
+        if not self.orthographic:
+            w = self.matrix[:3, 3]
         lens = np.eye(3)
         for row, axis in enumerate((x, y)):
             lens[row, 2] = axis @ w
             lens[row, row] = np.linalg.norm(axis - lens[row, 2] * w)
         return lens
+
+
+def mm_per_pixel(scene: Scene, size: Pair) -> float | None:
+    """Return the side of a pixel of an orthographic image in mm; None for a perspective image, and
+    if the unit of the mesh is unknown."""
+    if not scene.camera.orthographic or (unit_length := known_millimetres(scene.mesh)) is None:
+        return None
+    return float(view_of(scene, size[0] / size[1]).pixel(scene.mesh, size, 1.0) * unit_length)
+
+
+def scale_of(scene: Scene, size: Pair) -> str:
+    """Return the side of a pixel as text for metadata: in mm if the unit is known. In a perspective
+    image it is the side at the eyes, or without a face at the mesh's centre."""
+    mesh, view, at = scene.mesh, view_of(scene, size[0] / size[1]), ""
+    depth = 1.0
+    if not view.orthographic:
+        face = mesh.geometry.framing.face
+        at = " at the eyes" if face else " at the centre of the mesh"
+        point = mesh.normalised(face.eyes.mean(axis=0)) if face else np.zeros(3)
+        depth = float((point - view.position) @ view.forward) * mesh.radius
+    unit_length = known_millimetres(mesh)
+    length = view.pixel(mesh, size, depth) * (unit_length or 1.0)
+    return f"{length:.6g} {'mesh units' if unit_length is None else 'mm'} per pixel{at}"
+
+
+def to_scale(camera: Camera, mesh: Mesh, mm_per_pixel: float, size: Pair) -> Camera:
+    """Return the orthographic camera whose images of a mesh have pixels of the given side in mm.
+    Raises InputError if the unit of the mesh is a guess."""
+    if (unit_length := known_millimetres(mesh)) is None:
+        remedy = unit_of(mesh) or "scale the mesh to mm, and give --millimetres 1"
+        raise InputError(f"{mm_per_pixel:g} mm per pixel needs the unit of {mesh.name}: {remedy}")
+    height = mm_per_pixel * size[1] / unit_length
+    return replace(camera, fov=Camera.fov, zoom=Camera.zoom, view_height=height)
+
+
+def following(scene: Scene, view: View) -> Scene:
+    """Return the scene with its lights that follow the camera where they are for a view."""
+    if not any(light.follow for light in scene.lights):
+        return scene
+    to_mesh, lights = view.axes * [[1.0], [-1.0], [-1.0]], []  # x right, y up, z to the camera
+    for light in scene.lights:
+        if light.follow:
+            x, y, z = light.direction @ to_mesh
+            azimuth, elevation = np.degrees([math.atan2(x, z), math.asin(np.clip(y, -1.0, 1.0))])
+            light = replace(light, azimuth=azimuth, elevation=elevation, follow=False)
+        lights.append(light)
+    return replace(scene, lights=tuple(lights))
 
 
 def sample_grid(count: int) -> Float:
@@ -157,19 +260,31 @@ def view_of(scene: Scene, aspect: float) -> View:
     """
     check_range("aspect", aspect, 1e-6, 1e6)
     mesh, camera = scene.mesh, scene.camera
+    if camera.size is not None:
+        across, down = camera.size
+        if not math.isclose(across / down, aspect, rel_tol=_SAME_SHAPE):
+            images = f"images of {across} x {down} pixels: give a size with this aspect ratio"
+            raise InputError(f"camera intrinsics or view_height are for {images}")
+    height = camera.view_height and camera.view_height / mesh.radius
+    if height and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
+        limits = "{:.3g} to {:.3g}".format(*np.multiply(_HEIGHTS, mesh.radius))
+        raise InputError(f"camera view_height = {camera.view_height:g}: give {limits} mesh units")
     if camera.extrinsics is not None:
-        return _placed(mesh, camera, aspect)
+        return _placed(mesh, camera, aspect, height)
     if camera.frame != "all" and None in (camera.position, camera.target):
         emit_framing(mesh, camera.frame)
     target = target_of(mesh, camera)
     if camera.position is None:
-        angles = camera.elevation, camera.fov, aspect
         framed = region_of(mesh, camera.frame) or mesh
-        distance = mesh.geometry.derived.of(
-            "distance", (camera.frame, *angles), lambda: _framing_distance(framed.profile, *angles)
-        )
-        direction = direction_to(camera.azimuth, camera.elevation)
-        eye = target + distance / camera.zoom * direction
+        if camera.orthographic:
+            distance = 2.0 * mesh.space.reach + math.sqrt(target @ target)  # outside of the mesh
+            height = height or _framing_height(framed.profile, aspect) / camera.zoom
+        else:
+            angles = camera.elevation, camera.fov, aspect
+            make = lambda: _framing_distance(framed.profile, *angles)  # noqa: E731
+            distance = mesh.geometry.derived.of("distance", (camera.frame, *angles), make)
+            distance /= camera.zoom
+        eye = target + distance * direction_to(camera.azimuth, camera.elevation)
     else:
         eye = within_reach(f"camera position {camera.position}", mesh.normalised(camera.position))
     gaze = target - eye
@@ -183,7 +298,7 @@ def view_of(scene: Scene, aspect: float) -> View:
     elif camera.position is not None and camera.azimuth:
         pair = f"camera azimuth = {camera.azimuth:g} and position exclude each other"
         raise InputError(f"{pair}, unless the camera looks straight up or down: leave one out")
-    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
+    lens = _projection(camera.fov, height, aspect, -float(eye @ forward), mesh.space.reach)
     return View(eye, forward, _look(eye, target, up) @ lens)
 
 
@@ -192,12 +307,17 @@ def shifted(scene: Scene, x: float, y: float, size: int | Pair) -> Scene:
 
     Raises InputError for an invalid size, for x or y outside [-1e6, 1e6], and as :func:`view_of`.
     """
-    width, height = size = IMAGE_SIZES.check("size", size)
+    size = width, height = IMAGE_SIZES.check("size", size)
     check_range("x", x, -1e6, 1e6)
     check_range("y", y, -1e6, 1e6)
     view = view_of(scene, width / height).shifted((x, y), size)
-    pose, lens = view.extrinsics(scene.mesh), view.intrinsics(size)
-    camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=scene.camera.distortion)
+    pose = view.extrinsics(scene.mesh)
+    if view.orthographic:
+        view_height = view.height(scene.mesh)
+        pose[:2, 3] += np.array([x, y]) * view_height / height
+        return replace(scene, camera=Camera(extrinsics=pose, view_height=view_height))
+    lens, distortion = view.intrinsics(size), scene.camera.distortion
+    camera = Camera(extrinsics=pose, intrinsics=lens, size=size, distortion=distortion)
     return replace(scene, camera=camera)
 
 
@@ -214,19 +334,16 @@ def target_of(mesh: Mesh, camera: Camera) -> Float:
     return np.zeros(3) if region is None else region.center
 
 
-def _placed(mesh: Mesh, camera: Camera, aspect: float) -> View:
+def _placed(mesh: Mesh, camera: Camera, aspect: float, height: float | None) -> View:
     """Return the view of a camera with extrinsics and, optionally, intrinsics."""
     pose = np.array(camera.extrinsics)
     left, _, right = np.linalg.svd(pose[:, :3])
     turn = left @ right  # the nearest rotation, because R may be rounded
     eye = within_reach("position in camera extrinsics", mesh.normalised(-turn.T @ pose[:, 3]))
     forward = turn[2]
-    lens = _projection(camera.fov, aspect, -float(eye @ forward), mesh.space.reach)
+    lens = _projection(camera.fov, height, aspect, -float(eye @ forward), mesh.space.reach)
     if camera.intrinsics is not None and camera.size is not None:
         width, height = camera.size
-        if not math.isclose(width / height, aspect, rel_tol=_SAME_SHAPE):
-            images = f"images of {width} x {height} pixels: give a size with this aspect ratio"
-            raise InputError(f"camera intrinsics are for {images}")
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
         lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
@@ -251,14 +368,23 @@ def _cross(a: Float, b: Float) -> Float:
     return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
-def _projection(fov: float, aspect: float, depth: float, reach: float) -> Float:
+def _projection(
+    fov: float, height: float | None, aspect: float, depth: float, reach: float
+) -> Float:
     """Return the matrix from camera space to clip space, with y down, for row vectors. The sphere
     around all vertices, whose centre is at ``depth`` and whose radius is ``reach``, lies between
-    the near plane and the far plane. Source: OpenGL 2.1, gluPerspective."""
+    the near plane and the far plane. Source: OpenGL 2.1, gluPerspective and glOrtho.
+
+    height : of an orthographic camera's view in the renderer's space; None for a perspective camera
+    """
     far = max(depth + reach, 0.02)
     near = max(depth - reach, far * 1e-3)
-    tangent = math.tan(math.radians(fov) / 2.0)
     lens = np.zeros((4, 4))
+    if height is not None:
+        lens[0, 0], lens[1, 1] = 2.0 / (height * aspect), -2.0 / height
+        lens[2, 2], lens[3, 2:] = -2.0 / (far - near), ((far + near) / (near - far), 1.0)
+        return lens
+    tangent = math.tan(math.radians(fov) / 2.0)
     lens[0, 0], lens[1, 1] = 1.0 / (tangent * aspect), -1.0 / tangent
     lens[2, 2:] = (far + near) / (near - far), -1.0
     lens[3, 2] = 2.0 * far * near / (near - far)
@@ -299,7 +425,7 @@ def _not_drawn(mesh: Mesh, part: Part, material: Material, view: View, cutoff: f
     name = part.name or "it"
     if material.double_sided is False:
         a, b, c = np.moveaxis(mesh.normalised(part.positions)[part.faces], 1, 0)
-        if not (np.einsum("ij,ij->i", np.cross(b - a, c - a), view.position - a) > 0.0).any():
+        if not (np.einsum("ij,ij->i", np.cross(b - a, c - a), view.towards(a)) > 0.0).any():
             return f"{name} shows only back faces; give --double-sided, or turn the camera"
     if cutoff is not None and material.thin:
         return f"{name} transmits light, and data images omit such parts; draw the image itself"
@@ -323,7 +449,7 @@ def levels_to_spare(
 
     uv, texels : texture coordinates of the part; width and height of the map
     """
-    clip = view._clip(mesh, part.positions)
+    clip, depth = view._clip(mesh, part.positions)
     w = clip[:, 2]
     in_front = w[part.faces] > 1e-6
     faces = part.faces[in_front.all(axis=1)]
@@ -344,7 +470,7 @@ def levels_to_spare(
         by_y = (second * x1 - first * x2) / double[:, None]
         read = np.sqrt(np.maximum((by_x**2).sum(axis=1), (by_y**2).sum(axis=1))) / anisotropy
     # Triangles that the part itself hides, such as the inside of a closed mouth, do not count.
-    visible = (area > 0.0) & np.isfinite(read) & ~_hidden(pixels / half, w)[faces].all(axis=1)
+    visible = (area > 0.0) & np.isfinite(read) & ~_hidden(pixels / half, depth)[faces].all(axis=1)
     if not visible.any():
         return 0
     area, read = area[visible], read[visible]
@@ -369,6 +495,12 @@ def _hidden(positions: Float, depth: Float) -> NDArray[np.bool_]:
     around = np.pad(nearest[1:-1, 1:-1], 2, constant_values=np.inf)
     farthest = sliding_window_view(around, (3, 3)).max(axis=(2, 3))
     return np.asarray(depth > farthest[tuple(indices.T)] + _BEHIND)
+
+
+def _framing_height(profile: Float, aspect: float) -> float:
+    """Return the height of an orthographic view, with FRAMING_MARGIN, into which a profile fits at
+    every azimuth and elevation: the views of a mesh have one scale."""
+    return 2.0 * FRAMING_MARGIN * float(np.hypot(*profile.T).max()) / min(aspect, 1.0)
 
 
 def _framing_distance(profile: Float, elevation: float, fov: float, aspect: float) -> float:

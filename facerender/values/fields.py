@@ -23,7 +23,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
@@ -227,15 +227,20 @@ class Built(Limits):
 
 @dataclass(frozen=True)
 class Several(Limits):
-    """Several records, each as in :class:`Built`; one record or one text stands for a list."""
+    """Several records, each as in :class:`Built`; one record or one text stands for a list.
+
+    groups : records that stand together under one name
+    """
 
     record: type
+    groups: Mapping[str, Sequence[Any]] = dataclasses.field(default_factory=dict)
 
     def check(self, name: str, value: Any) -> Any:
         several = [value] if isinstance(value, str | self.record) else value
         if isinstance(several, Mapping | bytes) or not isinstance(several, Iterable):
             raise InputError(f"{name} = {quoted(value)}: give a list, each {_forms(self.record)}")
-        return tuple(build(self.record, item, name) for item in several)
+        groups = (self.groups.get(i, [i]) if isinstance(i, str) else [i] for i in several)
+        return tuple(build(self.record, item, name) for group in groups for item in group)
 
 
 FRACTION = Range(0.0, 1.0)

@@ -2,7 +2,7 @@
 // shade.frag and gbuffer.frag share this code, so that the NumPy reference reads exactly the shaded
 // values.
 #include "host/texture_coordinates.glsl"
-uniform vec3 camera_position;
+uniform vec4 camera_position;  // Homogeneous: w is 0 for the direction of an orthographic camera.
 #ifdef VISIBLE
 #include "host/point/visible.glsl"
 #else
@@ -89,7 +89,7 @@ vec3 mapped_normal(Point p, float square, float facing) {
 #endif
 
 Surface surface(Point p) {
-    vec3 v = normalize(camera_position - p.position);
+    vec3 v = normalize(camera_position.xyz - camera_position.w * p.position);
     float square = dot(p.normal, p.normal);
     // Inside open meshes back faces are visible, and their normals are flipped. A triangle just
     // behind the silhouette may also be visible, because depth is rounded; the normal of such a

@@ -284,7 +284,7 @@ function useProgram(vertex, fragment, values) {
   gl.useProgram(program);
   const setters = {
     [gl.FLOAT]: "uniform1fv", [gl.FLOAT_VEC2]: "uniform2fv", [gl.FLOAT_VEC3]: "uniform3fv",
-    [gl.INT_VEC2]: "uniform2iv",
+    [gl.FLOAT_VEC4]: "uniform4fv", [gl.INT_VEC2]: "uniform2iv",
   };
   for (const [name, value] of Object.entries(values)) {
     if (!uniforms[name]) continue;
@@ -363,7 +363,7 @@ function bindCleared(target, background) {
 // Draws all parts into the bound target; sourceOf returns the fragment shader of a part.
 function drawParts(term, sourceOf) {
   const {matrix, position} = viewOf(state.camera, size);
-  const scene = {ambient: state.ambient, view_projection: matrix, camera_position: position};
+  const scene = {ambient: state.ambient, view_projection: matrix, camera_position: [...position, 1]};
   for (const [kind, {arrays}] of Object.entries(sources.lights)) {
     const elements = state.lights.filter(light => lightKind(light) === kind).map(lightElements);
     arrays.forEach((name, i) => { scene[name] = elements.flatMap(each => each[i]); });

@@ -7,7 +7,8 @@
 
 uniform sampler2D triangle_table;
 // Ray from the camera to the far plane, at the outer corner of the first pixel; and its change to the
-// next pixel to the right, and to the next row.
+// next pixel to the right, and to the next row. For an orthographic camera, start of the ray and its
+// changes; the ray to the far plane is then -camera_position.
 uniform mat3 rays;
 
 #define TEXEL(map, p, place) textureGrad(map, (p).place, (p).uv_x, (p).uv_y)
@@ -28,7 +29,10 @@ vec3 view_ray() { return rays[0] + gl_FragCoord.x * rays[1] + gl_FragCoord.y * r
 
 Point point(uint triangle) {
     vec4 plane = texel_of(triangle, 0);
-    vec3 direction = view_ray();
+    bool parallel = camera_position.w == 0.0;
+    vec3 ray = view_ray();
+    vec3 start = parallel ? ray : camera_position.xyz;
+    vec3 direction = parallel ? -camera_position.xyz : ray;
     float across = dot(direction, plane.xyz);
     Point p;
     p.inside = across > 0.0;
@@ -36,14 +40,15 @@ Point point(uint triangle) {
     // clamped to [1e-3, 1]: 1 is the far plane, and nothing is drawn nearer than 1e-3
     // (scene/view.py).
     if (abs(across) < 1e-7) across = 1e-7;
-    float distance = clamp((plane.w - dot(camera_position, plane.xyz)) / across, 1e-3, 1.0);
-    p.position = camera_position + distance * direction;
+    float distance = clamp((plane.w - dot(start, plane.xyz)) / across, 1e-3, 1.0);
+    p.position = start + distance * direction;
     p.normal = vec3(
         affine(triangle, 1, p.position), affine(triangle, 2, p.position), affine(triangle, 3, p.position)
     );
 #if defined(UV) || defined(SHADOWS)
-    vec3 position_x = distance * (rays[1] - direction * (dot(rays[1], plane.xyz) / across));
-    vec3 position_y = distance * (rays[2] - direction * (dot(rays[2], plane.xyz) / across));
+    float spread = parallel ? 1.0 : distance;
+    vec3 position_x = spread * (rays[1] - direction * (dot(rays[1], plane.xyz) / across));
+    vec3 position_y = spread * (rays[2] - direction * (dot(rays[2], plane.xyz) / across));
 #endif
 #ifdef UV
     vec4 u = texel_of(triangle, 4);

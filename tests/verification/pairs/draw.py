@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 import facerender as fr
-from facerender.images.files import lossy_bytes, save_png
+from facerender.images.files import pillow_bytes, png_bytes
 from facerender.images.image import linear_to_srgb
 from facerender.system.files import write_bytes
 from tests.verification.pairs.changes import Against, Change, Encode, Encoded, Format, Must
@@ -152,10 +152,10 @@ def draw(room: Room, change: Change | Encoded, out: Path) -> Iterator[Pair]:
                 pixels[..., :3] = np.round(after[..., :3])
             same = np.array_equal(a.srgb8(), pixels)
             if kind == "png":
-                save_png(image, pixels, b.metadata)
+                write_bytes(image, png_bytes(pixels, b.metadata))
                 effect = largest(steps(a), after)
             else:
-                write_bytes(image, lossy_bytes("jpeg", pixels, b.metadata))
+                write_bytes(image, pillow_bytes("jpeg", pixels, b.metadata))
                 with Image.open(golden) as file:
                     effect = above_codec(steps(a), after, np.asarray(file))
         yield pair(kind, golden, image, made.samples, effect, same)

@@ -82,7 +82,7 @@ _CALLS: Mapping[tuple[type, str], str] = {
 # Arguments without a field of their own: Python, scene file, option.
 _OTHERS = (
     ("mesh.with_material(PART, ...)", "[parts.PART]", "--part NAME,FACTOR=VALUE"),
-    ("fr.turntable(count=...)", "", "--camera turntable:N"),
+    ("fr.turntable(count=..., arc=...)", "", "--camera turntable:N,FROM..TO"),
     ("fr.load_cameras(FILE)", "[[cameras]]", "--camera FILE"),
     ("renderer.render(scene, only=...)", "", "--only NAME"),
     ("fr.plan(scene, budget, within=...)", "[planned]", "--budget ERROR, --within FRACTION"),
@@ -90,6 +90,9 @@ _OTHERS = (
     ("fr.Renderer(memory=...)", "", "--memory MIB"),
     ("frame.save(FILE, exposure=...)", "", "--exposure STOPS"),
     ("frame.save(FILE, tone=...)", "", "--tone NAME"),
+    ("frame.save(FILE, bits=...)", "", "--bits N"),
+    ("frame.save(FILE, dpi=...)", "", "--dpi N"),
+    ("frame.save(FILE, scale_bar=...)", "", "--scale-bar"),
     ("fr.save_animation(FILE, images, fps=...)", "", "--fps N"),
     ("fr.load_mesh(FILE, cache=...)", "", "--no-cache"),
     ("fr.sheet(frames)", "", "--sheet"),
