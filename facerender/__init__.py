@@ -11,6 +11,7 @@ Material        reflectance of a part; a Texture is a map from a file, an array 
 simplified      returns a mesh with fewer triangles; with_occlusion bakes ambient occlusion, and
                 tracked makes cameras follow a moving head
 find_face       finds the eyes and the direction of a face on a mesh in any orientation: a Face
+register        moves a scan into the space of another scan of the same person: a Registration
 Scene           mesh, Camera, Light, ambient light, background and environment; accepts names of the
                 command line, such as "three-quarter", "key" and "studio"; load_scene reads a file
 Environment     environment map from a Panorama; load_environment reads a file, an EnvironmentFile
@@ -63,6 +64,8 @@ if TYPE_CHECKING:
     from facerender.mesh.mesh import tracked as tracked
     from facerender.mesh.occlusion import with_occlusion as with_occlusion
     from facerender.mesh.part import Face as Face
+    from facerender.mesh.registration import Registration as Registration
+    from facerender.mesh.registration import register as register
     from facerender.mesh.simplify import simplified as simplified
     from facerender.planning.plan import Plan as Plan
     from facerender.planning.plan import plan as plan
@@ -105,6 +108,7 @@ _HOMES = {
     "mesh.part": ("Face",),
     "mesh.mesh": ("Mesh", "find_face", "tracked"),
     "mesh.occlusion": ("with_occlusion",),
+    "mesh.registration": ("Registration", "register"),
     "mesh.simplify": ("simplified",),
     "planning.plan": ("Plan", "plan"),
     "scene.camera": ("STANDARD_VIEWS", "Camera", "turntable"),

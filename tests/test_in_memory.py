@@ -478,6 +478,7 @@ def everything():
         "Panorama": scene.environment.panorama,  # type: ignore[union-attr]
         "Plan": plan,
         "Pose": fr.Pose({"jawOpen": 0.5}, track=True),
+        "Registration": fr.Registration(mesh, 0.04, "mm", np.eye(4)),
         "Scene": scene,
         "Shading": fr.Shading(lobe="d16", specular_lights=[0]),
         "Term": fr.Term("ward"),

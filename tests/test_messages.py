@@ -22,15 +22,17 @@ EXACT = {
         " or use the lobe exact (facerender render: --outside exact)"
     ),
     "render --camera west -o x.png": (
-        "unknown camera 'west'; give front, three-quarter, profile, or AZIMUTH[,ELEVATION[,ZOOM]]"
-        " in degrees, where AZIMUTH may be a name; turntable[:N[,FROM..TO]], for N views "
+        "unknown camera 'west'; give front, three-quarter, profile, frontal, right-oblique, "
+        "left-oblique, right-lateral, left-lateral, basal, superior, or "
+        "AZIMUTH[,ELEVATION[,ZOOM]] in degrees, where AZIMUTH may be a name; standard, for all "
+        "seven standard views, frontal to superior; turntable[:N[,FROM..TO]], for N views "
         "around the mesh (8), or on an arc; gltf[:NAME], for cameras of the mesh file; or a camera "
         "file: .toml with [[cameras]], .json or .npz with K and [R|t]"
     ),
     "render --light moon -o x.png": (
         "unknown light 'moon'; give key, rim, fill, front, top, or "
         "AZIMUTH,ELEVATION[,IRRADIANCE], or point:X,Y,Z[,IRRADIANCE], then optionally "
-        ",radius=DEGREES for an area light and ,no-shadow"
+        ",radius=DEGREES for an area light, ,no-shadow, and ,follow to follow the camera"
     ),
     "render --scene unknown.toml -o x.png": (
         "unknown.toml: unknown key 'unknown'; known: mesh, material, camera, lights, ambient, "

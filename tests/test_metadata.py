@@ -41,6 +41,8 @@ def test_metadata_lists_every_parameter_once(renderer, mesh):
     found = dict(renderer.render(scene, fr.Shading(shadow_lights=[0])).metadata)
     size = "6888 vertices, 13444 triangles, radius 0.181261, 1 unit = 1000.0 mm"
     assert found.pop("mesh").startswith(f"two.glb, {size}, CRC-32 ")
+    scale = found.pop("scale")
+    assert scale.endswith(" mm per pixel at the eyes")
     drivers = found.pop("GL_RENDERER"), found.pop("GL_VERSION")
     assert drivers == (renderer.context.renderer, renderer.context.version)
     assert found == {

@@ -75,7 +75,7 @@ METHODS = [
     *("Camera.from_opencv", "Camera.from_view_matrix", "Camera.from_camera_to_world"),
 ]
 GIVEN = ("renderer", "backend", "size", "samples", "mesh", "source")  # replace expensive defaults
-RESULTS = ("Face", "GBuffer", "Plan", "View")  # created only by functions
+RESULTS = ("Face", "GBuffer", "Plan", "Registration", "View")  # created only by functions
 
 
 def public_callables() -> list[str]:

@@ -34,6 +34,7 @@ from facerender.errors import warn
 from facerender.images.animation import arranged
 from facerender.mesh.hints import known_millimetres
 from facerender.mesh.mesh import Mesh
+from facerender.mesh.registration import register
 from facerender.scene.camera import Camera
 from facerender.scene.job import ImageSettings, Output, load_scene
 from facerender.scene.scene import Scene
@@ -48,10 +49,10 @@ _APART = 0.5  # largest distance of the eyes of two scans of one frame, in eye d
 def add(views: argparse.ArgumentParser) -> None:
     views.set_defaults(command=run)
     views.description = (
-        "Render the standard views of a scan of a face (frontal, both obliques, both laterals,\n"
-        "basal and superior) in one orthographic scale, with soft light that follows the camera,\n"
-        "and a sheet of all views. Further scans of the face get the same frame, and a sheet of\n"
-        "the changes from the first scan. Prints the names of the images."
+        "Render the standard views of a scan of a face (frontal, both obliques, both\n"
+        "laterals, basal, superior) in one orthographic scale, with soft light that follows\n"
+        "the camera, and a sheet of all views. Further scans of the face get the same frame,\n"
+        "and a sheet of the changes from the first scan."
     )
     changes = SCENE_CHANGES | {
         "mesh": {"nargs": "+"},
@@ -79,7 +80,6 @@ mesh
 [scene]
 mm-per-pixel triangles
 --register | align further scans with the first by their upper faces
-    | Requires pip install 'facerender[register]'
 [image]
 size samples exposure tone bits dpi scale_bar
 --format | format of the images | png
@@ -122,9 +122,9 @@ def _frame_of(cameras: Iterable[Camera], scene: Scene, aspect: float) -> list[Ca
 def _moved(cameras: Sequence[Camera], first: Mesh, mesh: Mesh) -> list[Camera]:
     """Return the cameras of the first mesh for another mesh, whose unit may differ. If its face
     lies elsewhere, they keep their scale and move by the distance of the faces, with a warning."""
-    lengths = [known_millimetres(each) or 1.0 for each in (first, mesh)]
+    lengths = [known_millimetres(scan) or 1.0 for scan in (first, mesh)]
     ratio, away = lengths[0] / lengths[1], np.zeros(3)
-    faces = [each.geometry.framing.face for each in (first, mesh)]
+    faces = [scan.geometry.framing.face for scan in (first, mesh)]
     if faces[0] and faces[1]:
         away = faces[1].eyes.mean(axis=0) / ratio - faces[0].eyes.mean(axis=0)
         if np.linalg.norm(away) < _APART * faces[0].eye_distance:
@@ -171,14 +171,13 @@ def run(options: argparse.Namespace) -> int:
     scenes = [load(job, not options.no_cache, ahead=options.memory is None) for job in jobs]
     first, residuals = scenes[0].mesh, {}
     if options.register:
-        from facerender.mesh.registration import register
-
         for number, scene in enumerate(scenes[1:], 1):
-            mesh, residual = register(scene.mesh, first)
-            scenes[number] = replace(scene, mesh=mesh)
-            residuals[labels[number]] = residual
+            result = register(scene.mesh, first)
+            scenes[number] = replace(scene, mesh=result.mesh)
+            residuals[labels[number]] = result.residual
             if not options.quiet:
-                text = f"registered to {labels[0]}, median residual {residual:.2g}"
+                distance = f"median residual {result.residual:.2g} {result.unit}"
+                text = f"registered to {labels[0]}, {distance}"
                 print_message(f"facerender: {labels[number]}: {text}")
     frame = _frame_of(cameras.values(), scenes[0], size[0] / size[1])
     if options.mm_per_pixel is not None:

@@ -348,7 +348,9 @@ def changes(
         moved.append(change)
     largest = max(float(np.percentile(np.concatenate(distances), _FITTED)), 1e-3 * pixel)
     step = 10.0 ** math.floor(math.log10(largest))
-    scale = next(step * factor for factor in (1.0, 2.0, 5.0, 10.0) if step * factor >= 0.99 * largest)
+    scale = next(
+        step * factor for factor in (1.0, 2.0, 5.0, 10.0) if step * factor >= 0.99 * largest
+    )
     cells = []
     for change, image in zip(moved, images, strict=True):
         shade = 0.4 + 0.6 * image.mean(axis=-1, keepdims=True) / 255.0

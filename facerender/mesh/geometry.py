@@ -18,7 +18,7 @@ from facerender.errors import InputError, check_range, clipped, quoted, warn
 from facerender.mesh.part import Float, Framing, Part, Space, TriangleSetup, face_normals, used
 from facerender.mesh.repair import joined, stacked
 from facerender.values.fields import parameters
-from facerender.values.vectors import MAX_RADII, MILLIMETRES, ROTATIONS, SHAPE_WEIGHTS, unit
+from facerender.values.vectors import MAX_RADII, MILLIMETRES, ROTATIONS, SHAPE_WEIGHTS, Vector, unit
 
 if TYPE_CHECKING:
     from facerender.mesh.rig import Clip
@@ -88,6 +88,7 @@ class Geometry:
     known_framing: Framing | None = None  # as from the cache; None to compute :attr:`framing`
     # (3, 3), for column vectors, from the axes of the file to mesh space; None if they are equal.
     rotation: Float | None = None
+    shift: Vector = (0.0, 0.0, 0.0)  # after the rotation, from :func:`facerender.register`
     # For each part, the highlight of the material in the file; None if the mesh was not loaded.
     # Hints name only these highlights, see :func:`facerender.mesh.hints.gloss_of`.
     gloss: tuple[Any, ...] | None = None

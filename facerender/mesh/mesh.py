@@ -157,7 +157,8 @@ class Mesh:
             return self
         stored = [self.geometry.parts[i] for i in remaining]
         mesh = Mesh.of(self.name, stored, [self.materials[i] for i in remaining], self.millimetres)
-        geometry = replace(mesh.geometry, rotation=self.geometry.rotation)
+        old = self.geometry
+        geometry = replace(mesh.geometry, rotation=old.rotation, shift=old.shift)
         moved_parts = tuple(self.parts[i] for i in remaining)
         pose = self.pose and MeshPose(geometry, moved_parts, geometry.bounds)
         return Mesh(geometry, mesh.materials, pose)
@@ -293,8 +294,9 @@ class Mesh:
         ----------
         positions : (N, 3), a row for each vertex of the file or arrays from which the mesh was
             made, or for each vertex of all parts in order. Or an array for each part, as a list, or
-            as a mapping by part name; parts without an array (None) stay as they are. In the axes
-            of the file: :attr:`rotation` is applied. At most 1e6 mesh radii from the centre
+            as a mapping by part name; parts without an array (None) stay as they are. In the space
+            of the file: rotation and registration are applied. At most 1e6 mesh radii from the
+            centre
         normals : like positions, vectors of any length. None to compute them: area-weighted means
             of face normals, also across texture seams and parts. Creases of the reference pose
             remain creases
@@ -303,7 +305,11 @@ class Mesh:
         columns = [_rows_of_parts(self, *pair) for pair in arrays.items()]
         with np.errstate(all="ignore"):  # moved() refuses positions that cause overflow
             if (rotation := self.geometry.rotation) is not None:
-                columns = [[r if r is None else r @ rotation.T for r in rows] for rows in columns]
+                shifts = [np.array(self.geometry.shift), np.zeros(3)]
+                columns = [
+                    [r if r is None else r @ rotation.T + shift for r in rows]
+                    for rows, shift in zip(columns, shifts, strict=True)
+                ]
         return moved(self, *columns)
 
     def _changed(self, indices: Iterable[int], changes: Mapping[str, Any]) -> Mesh:

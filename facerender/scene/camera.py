@@ -126,8 +126,8 @@ Size = int | tuple[int, int]
 
 FRAMES: tuple[RegionName, ...] = get_args(RegionName)
 AZIMUTHS_BY_NAME = {"front": 0.0, "three-quarter": -35.0, "profile": -90.0}
-# Azimuth and elevation of the standard views of clinical photography. Right and left are those of
-# the subject.
+# Azimuth and elevation of the standard views of clinical photography. Right and left are the sides
+# of the subject.
 STANDARD_ANGLES = {
     "frontal": (0.0, 0.0),
     "right-oblique": (-45.0, 0.0),

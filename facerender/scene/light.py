@@ -86,7 +86,7 @@ class Light:
     def __post_init__(self) -> None:
         for name in ("azimuth", "elevation", "follow"):
             if self.position is not None and (value := getattr(self, name)):
-                pair = f"light {name} = {value} and position"
+                pair = f"light {name} = {value if value is True else f'{value:g}'} and position"
                 raise InputError(f"{pair} exclude each other: leave one out")
 
     @property

@@ -264,7 +264,8 @@ def view_of(scene: Scene, aspect: float) -> View:
         across, down = camera.size
         if not math.isclose(across / down, aspect, rel_tol=_SAME_SHAPE):
             images = f"images of {across} x {down} pixels: give a size with this aspect ratio"
-            raise InputError(f"camera intrinsics or view_height are for {images}")
+            subject = "intrinsics are" if camera.intrinsics else "size is"
+            raise InputError(f"camera {subject} for {images}")
     height = camera.view_height and camera.view_height / mesh.radius
     if height and not _HEIGHTS[0] <= height <= _HEIGHTS[1]:
         limits = "{:.3g} to {:.3g}".format(*np.multiply(_HEIGHTS, mesh.radius))

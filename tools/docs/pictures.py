@@ -30,6 +30,7 @@ from benchmarks.skin import subjects
 from benchmarks.skin_environment import sky
 from facerender.commands import main as main_command
 from facerender.images.image import encode_srgb8
+from facerender.loading.source import BUILT_IN
 from facerender.scene.environment import studio
 from facerender.texture.texture import Texture
 from tests.verification.scan import load_scan, scan_folder
@@ -261,11 +262,37 @@ def readme() -> None:
     save("readme", [[np.asarray(Image.open(IMAGES / "gallery" / f"{e}.jpg")) for e in names]], 86)
 
 
+def views() -> None:
+    """Draw the sheet of standard views of the built-in head, and the changes of a nose and a chin,
+    for docs/views.md."""
+    (skin,) = fr.load_mesh().select("head").parts
+    changed, face = skin.positions.copy(), fr.find_face(fr.load_mesh())
+    assert face is not None
+    eyes, front = face.eyes.mean(axis=0), skin.positions[:, 2]
+    for below, width, depth in ((0.045, 0.012, -0.003), (0.115, 0.018, 0.005)):
+        near = np.abs(skin.positions - eyes)[:, 0] < 0.012
+        near &= np.abs(skin.positions[:, 1] - eyes[1] + below) < 0.012
+        tip = skin.positions[near][front[near].argmax()]
+        distances = ((skin.positions - tip) ** 2).sum(axis=1)
+        changed[:, 2] += depth * np.exp(-distances / (2.0 * width**2))
+    with tempfile.TemporaryDirectory() as folder:
+        for name, positions in (("before", skin.positions), ("after", changed)):
+            lines = [f"v {x:.7f} {y:.7f} {z:.7f}" for x, y, z in positions]
+            lines += [f"f {a} {b} {c}" for a, b, c in skin.faces + 1]
+            Path(folder, f"{name}.obj").write_text("\n".join(lines))
+        scans = [f"{folder}/{name}.obj" for name in ("before", "after")]
+        for name, meshes in (("sheet", [str(BUILT_IN)]), ("changes", scans)):
+            main_command(["views", *meshes, "--size", "320", "-o", folder])
+            picture = "views" if name == "sheet" else name
+            image = Image.open(Path(folder, f"{name}.png")).convert("RGB")
+            image.save(IMAGES / f"{picture}.jpg", quality=88)
+
+
 PICTURES: dict[str, Callable[[], None]] = {
     **{"gallery": gallery, "readme": readme},
     **{"exact-d16": exact_d16, "explorer": explorer, "slope-filter": slope_filter},
     **{"environment": environment, "lobes": lobes, "scattering": scattering, "shadows": shadows},
-    **{"photographs": photographs},
+    **{"photographs": photographs, "views": views},
     **{"occlusion": occlusion, "heads": heads},
 }
 

@@ -11,10 +11,10 @@ from facerender.commands import parser_of
 from facerender.commands.output import commands_of, groups_of
 from facerender.loading import MeshFile
 from facerender.material import MAPS, PRESETS, Material
-from facerender.scene.camera import AZIMUTHS_BY_NAME, FRAMES, Camera
+from facerender.scene.camera import AZIMUTHS_BY_NAME, FRAMES, STANDARD_ANGLES, Camera
 from facerender.scene.environment import STUDIO, EnvironmentFile
 from facerender.scene.job import ImageSettings
-from facerender.scene.light import LIGHTS, Light
+from facerender.scene.light import LIGHTS, RIGS, Light
 from facerender.scene.pose import Pose
 from facerender.scene.scene import ONLY, Scene
 from facerender.scene.shading import DIFFUSE, OUTSIDE, Shading
@@ -45,10 +45,11 @@ _MAPS = {(Material, name) for name in MAPS}
 _PLACE = "--camera AZIMUTH,ELEVATION,ZOOM"
 _FILE = "--camera FILE"
 _OPTIONS: Mapping[type, Mapping[str, str]] = {
-    Scene: {"mesh": "MESH", "lights": "--light LIGHT", "before": "--only motion"},
+    Scene: {"mesh": "MESH", "lights": "--light LIGHT, --lights RIG", "before": "--only motion"},
     Camera: {
         **dict.fromkeys(("azimuth", "elevation", "zoom"), _PLACE),
         **dict.fromkeys(("extrinsics", "intrinsics", "size", "distortion", "position"), _FILE),
+        "view_height": "--mm-per-pixel MM",
         "target": "--target X,Y,Z",
     },
     Light: {
@@ -57,6 +58,7 @@ _OPTIONS: Mapping[type, Mapping[str, str]] = {
         "position": "--light point:X,Y,Z",
         "radius": "--light ...,radius=DEGREES",
         "shadow": "--light ...,no-shadow, --shadows, --no-shadows",
+        "follow": "--light ...,follow",
     },
     EnvironmentFile: {
         "file": "--environment FILE",
@@ -106,8 +108,15 @@ def blocks() -> dict[str, str]:
 def _names() -> str:
     """Return a table: the values that have a name, and the places that accept the name."""
     rows = (
-        ("camera", AZIMUTHS_BY_NAME, 'fr.Scene(camera="NAME")', 'camera = "NAME"', "--camera"),
+        (
+            "camera",
+            (*AZIMUTHS_BY_NAME, *STANDARD_ANGLES),
+            'fr.Scene(camera="NAME")',
+            'camera = "NAME"',
+            "--camera",
+        ),
         ("light", LIGHTS, 'fr.Scene(lights=("NAME",))', 'lights = ["NAME"]', "--light"),
+        ("rig", RIGS, 'fr.Scene(lights="NAME")', 'lights = "NAME"', "--lights"),
         ("environment", [STUDIO], *_everywhere("fr.Scene", "environment")),
         ("background", ["none", "environment"], *_everywhere("fr.Scene", "background")),
         ("frame", FRAMES, *_everywhere("fr.Camera", "frame", "camera")),
