@@ -59,6 +59,8 @@ def noting() -> Iterator[list[str]]:
         yield messages
     finally:
         _noted.reset(token)
+        if (outer := _noted.get()) is not None:
+            outer += messages
 
 
 def clipped(text: str, most: int = 160) -> str:
@@ -70,6 +72,12 @@ def clipped(text: str, most: int = 160) -> str:
 def number_of(count: int, noun: str) -> str:
     """Return a count with its noun, such as "1 image" or "2 images"."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+def withheld(count: int, noun: str) -> str:
+    """Return the text that stands for a number of messages of an anonymous run."""
+    subject = f"{number_of(count, noun)} may contain names"
+    return f"{subject}: run without --anonymous to read {'it' if count == 1 else 'them'}"
 
 
 def quoted(value: Any) -> str:

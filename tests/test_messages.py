@@ -37,7 +37,7 @@ EXACT = {
     "render --scene unknown.toml -o x.png": (
         "unknown.toml: unknown key 'unknown'; known: mesh, material, camera, lights, ambient, "
         "background, shading, planned, image, outputs, environment, parts, pose, before, "
-        "landmarks, cameras"
+        "landmarks, cameras, anonymous"
     ),
     "render tri.obj --scattering skin -o x.png": (
         "scattering needs the size of tri.obj, which does not specify its unit: "
@@ -58,7 +58,7 @@ EXACT = {
     "batch jobs.csv --check": (
         "jobs.csv, row 1 (line 2): unknown key 'm'; known: id, outputs, exposure, tone, scene, "
         "meta, mesh, material, camera, lights, ambient, background, shading, planned, image, "
-        "environment, parts, pose, before, landmarks"
+        "environment, parts, pose, before, landmarks, anonymous"
     ),
     "plan --budget 1/255 --target es300": "--target es300 has no shader: add --emit OUT.glsl",
     "compare a.png b.png": "a.png is 8 x 8, b.png is 9 x 9 pixels: render both at one size",

@@ -16,6 +16,7 @@ from facerender.loading.source import BUILT_IN
 from facerender.scene.light import RIGS
 from facerender.scene.view import shifted, view_of
 from facerender.values.vectors import rotation_of
+from tests.awkward_files import MINI_HEAD
 from tests.test_cameras import glb
 
 SIDE = fr.Camera(-60.0, 20.0, orthographic=True, frame="head")
@@ -292,6 +293,18 @@ def test_the_standard_views_of_a_command_and_a_scene_file(cli, tmp_path):
     (tmp_path / "scene.toml").write_text("cameras = 'standard'\n")
     job = fr.Job.load(tmp_path / "scene.toml")
     assert job.cameras == (*fr.STANDARD_VIEWS.values(),)
+
+
+def test_the_standard_views_of_a_batch(cli, tmp_path):
+    table = "image.size = 32\nlights = 'softbox'\n[grid]\ncamera = 'standard'\n"
+    (tmp_path / "jobs.toml").write_text(table)
+    line = ["batch", tmp_path / "jobs.toml", "--mesh", MINI_HEAD, "--workers", "1", "--quiet"]
+    assert cli.run(*line, "-o", cli.folder)[0] == 0
+    records = [json.loads(row) for row in (cli.folder / "jobs.jsonl").read_text().splitlines()]
+    assert len(records) == len(fr.STANDARD_VIEWS)
+    heights = [record["camera"]["view_height"] for record in records]
+    assert heights == pytest.approx([heights[0]] * len(heights))
+    assert [record["job"]["lights"][0]["follow"] for record in records] == [True] * len(records)
 
 
 def test_following_lights_turn_with_the_camera(renderer, head):

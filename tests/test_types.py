@@ -115,7 +115,7 @@ def right(call: str, name: str, annotation: str) -> list[Any]:
     values = [
         value for words, some in ALLOWED.items() if re.search(words, annotation) for value in some
     ]
-    any_text = name in ("name", "file", "text", "clip", "vertices") or (
+    any_text = name in ("name", "file", "text", "clip", "vertices", "anonymous") or (
         call == "MeshFile" and name in MESH_PATHS
     )
     return [*values, *["nonsense"] * any_text, *RIGHT.get(f"{call} {name}", [])]

@@ -51,6 +51,8 @@ ROW_KEYS = ("id", "outputs", "exposure", "tone", "scene", "meta")
 FILES = {"mesh": MESH_PATHS, "environment": ("file",)}
 FILES |= {"pose": ("vertices",), "before": ("vertices",)}
 
+_NUMBERED = "{number:08d}"  # template of an id
+_NAMELESS = {"number", "anonymous"}  # fields of the templates of anonymous jobs
 _ID = re.compile("[A-Za-z0-9_-][A-Za-z0-9._-]{0,127}")
 _FIELD = re.compile(r"\{([^{}:!]+):?([+-]?0?[0-9]{0,2}(?:\.[0-9]{1,2})?[defgs]?)\}")
 
@@ -69,6 +71,20 @@ class Row:
     exposure: float = 0.0  # Exposure of the 8-bit images, in stops.
     tone: Tone = "linear"  # Tone mapping of the 8-bit images.
     meta: Table = field(default_factory=dict)  # Values that the job's record repeats.
+
+    @property
+    def anonymous(self) -> bool:
+        """Whether the job's files must not contain names."""
+        return "anonymous" in self.tables
+
+    @property
+    def inputs(self) -> Table:
+        """The items of the job's record that come from its table, with names of files instead of
+        paths; none of an anonymous job."""
+        if self.anonymous:
+            return {}
+        tables = with_paths(self.tables, lambda _, path: path and PurePath(path).name)
+        return {"job": tables, **({"meta": self.meta} if self.meta else {})}
 
 
 class JobTable:
@@ -189,7 +205,9 @@ def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
     if type(meta) is not dict:
         raise InputError(f"meta = {quoted(meta)}: give a table, or values such as meta.age")
     tables: Table = {key: listed(value, key, NAMED) for key, value in values.items()}
-    template = tables.pop("id", "{number:08d}")
+    template = tables.pop("id", _NUMBERED)
+    if "anonymous" in tables and {field[1] for field in _FIELD.finditer(str(template))} - _NAMELESS:
+        template = _NUMBERED
     outputs, exposure = tables.pop("outputs", "image"), tables.pop("exposure", 0.0)
     check_known("tone", tone := tables.pop("tone", "linear"), TONES)
     for key in tables:

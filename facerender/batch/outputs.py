@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -210,7 +211,7 @@ def draw(
     record: dict[str, Any] = {
         name: renderer.metadata[name] for name in ("facerender", "GL_RENDERER", "GL_VERSION")
     }
-    record["mesh"] = job.mesh.path or "built-in"
+    record["mesh"] = job.anonymous or PurePath(job.mesh.path or "built-in").name
     if job.planned:
         record["planned"] = job.planned.covers(renderer.size, renderer.samples)
     moves = "motion" in outputs or ("layers" in outputs and job.pose != job.before)
@@ -229,14 +230,17 @@ def draw(
         frames[name].warn_of_clipping(exposure, tone)
     if job.landmarks:
         # Landmarks count the vertices of the whole mesh, also if a simplified mesh is drawn.
-        record["landmarks"] = landmark_record(job.landmarks, view, full_scene.mesh, frames["depth"])
+        rows = landmark_record(job.landmarks, view, full_scene.mesh, frames["depth"])
+        if job.anonymous is not None:
+            rows = [row | {"name": f"landmark{i}"} for i, row in enumerate(rows, 1)]
+        record["landmarks"] = rows
     if "depth" in outputs:
         # 65535 stands for the far side of the bounding sphere: the scale depends only on the camera
         # and this sphere, not on the visible surface or the driver.
         farthest = max(1.0 - float(view.position @ view.forward), 0.0)
         record["depth_scale"] = farthest * scene.mesh.radius / _MAX or 1.0  # 1 if all is behind.
     if {"parts", "layers"} & set(outputs):
-        record["parts"] = [part.name for part in mesh.parts]
+        record["parts"] = [part.name for part in scene.labelled.mesh.parts]
     return Drawn([name for name in OUTPUTS if name in outputs], frames, exposure, tone, record)
 
 

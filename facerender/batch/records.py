@@ -31,7 +31,7 @@ from facerender import __version__
 from facerender.batch.jobs import Chunk, Record, Row, Settings, chunks, file_name, forget_files
 from facerender.batch.outputs import transforms_frame
 from facerender.batch.tables import json_lines, write_parquet
-from facerender.errors import InputError, reason
+from facerender.errors import InputError, reason, withheld
 from facerender.system.files import TEMPORARY, CannotUse, reported
 from facerender.system.signals import if_ended
 
@@ -363,13 +363,9 @@ class Message:
 
 def failure(chunk: Chunk, position: int, error_type: str, text: str) -> Record:
     """Return the record of a failed job."""
-    error = {"error": text, "kind": error_type}
-    return {**chunk.identity(position), **error, **inputs_of(chunk.rows[position])}
-
-
-def inputs_of(row: Row) -> Record:
-    """Return the items of a job's record that come from its table."""
-    return {"job": row.tables, **({"meta": row.meta} if row.meta else {})}
+    row = chunk.rows[position]
+    error = {"error": withheld(1, "message") if row.anonymous else text, "kind": error_type}
+    return {**chunk.identity(position), **error, **row.inputs}
 
 
 FAILED = "failed.jsonl"  # Records of the failed jobs.
@@ -492,7 +488,7 @@ def start(
     if not prune:
         _check_removed(work, storage, table)
     run = {"facerender": __version__, "layout": settings.layout, "run": settings.run}
-    about = {**run, "table": table, "jobs": len(work.ids)}
+    about = {**run, "table": Path(table).name, "jobs": len(work.ids)}
     # A worker that outlives an earlier run now stops writing.
     storage.put(ABOUT, json.dumps(about, indent=2).encode() + b"\n")
     finished, begun = record_names(storage), record_names(storage, BEGUN)

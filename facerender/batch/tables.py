@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal, DecimalException
 from functools import lru_cache, partial
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from facerender.errors import FacerenderError, InputError, clipped, quoted, reas
 from facerender.loading import MESH_PATHS
 from facerender.scene.camera import STANDARD_ANGLES, Camera
 from facerender.scene.environment import EnvironmentFile
-from facerender.scene.light import Light
+from facerender.scene.light import RIGS, Light
 from facerender.scene.scene import default_lights
 from facerender.system.files import read_file, suffix_of, tables_of
 from facerender.values.fields import Table, build, has_numbers, merged, plain
@@ -315,7 +315,8 @@ def nested(row: Any) -> Table:
         tables["lights"] = {key: _light(light) for key, light in lights.items()}
     elif isinstance(lights, str | list):
         several = [lights] if isinstance(lights, str) else lights
-        tables["lights"] = [_light(light) for light in several]
+        groups = (RIGS.get(item, [item]) if isinstance(item, str) else [item] for item in several)
+        tables["lights"] = [_light(light) for light in chain(*groups)]
     return tables
 
 

@@ -16,10 +16,10 @@ from multiprocessing.connection import Connection
 
 from facerender.batch.jobs import Record, code_version, forget_files, key_of
 from facerender.batch.outputs import Drawn, draw
-from facerender.batch.records import NO_MEMORY, Message, Order, Writer, failure, inputs_of
+from facerender.batch.records import NO_MEMORY, Message, Order, Writer, failure
 from facerender.drawing.context import Backend
 from facerender.drawing.renderer import Renderer
-from facerender.errors import ContextError, FacerenderWarning, InputError, noting
+from facerender.errors import ContextError, FacerenderWarning, InputError, noting, withheld
 from facerender.loading import MeshFile, load_mesh
 from facerender.mesh.mesh import Mesh
 from facerender.scene.job import ImageSettings, Job
@@ -84,7 +84,7 @@ def _draw(order: Order) -> Iterator[Message]:
             result: Drawn | Exception
             try:
                 job = Job.from_dict(row.tables)
-                mesh, warnings_of_mesh = _mesh(job.mesh)
+                mesh, warnings_of_mesh = _mesh(job.mesh, not row.anonymous)
                 if key_of(row) != chunk.keys[position]:
                     problem = "differ from the files that the coordinator read"
                     remedy = "give all machines the same files, and run the same command again"
@@ -93,9 +93,10 @@ def _draw(order: Order) -> Iterator[Message]:
                 with noting() as warned:
                     renderer = _renderer(job.image, settings.backend)
                     result = draw(job, mesh, renderer, row.outputs, row.exposure, row.tone)
-                description = {**inputs_of(row), **result.details}
+                description = {**row.inputs, **result.details}
                 if texts := [*dict.fromkeys([*warnings_of_mesh, *warned])]:
-                    description["warnings"] = texts
+                    hidden = [withheld(len(texts), "warning")]
+                    description["warnings"] = hidden if row.anonymous else texts
             except Exception as error:
                 if isinstance(error, ContextError) and (why := _no_context(settings.backend)):
                     yield Message("cannot", text=why)
@@ -145,11 +146,13 @@ def _no_context(backend: Backend) -> str:
 
 
 @lru_cache(_MESHES)
-def _mesh(file: MeshFile) -> tuple[Mesh, list[str]]:
+def _mesh(file: MeshFile, named: bool) -> tuple[Mesh, list[str]]:
     """Return a mesh, and the warnings emitted while it was loaded."""
-    # Only the first mesh is written to the disk cache: all meshes of a batch could fill the disk.
+    # Only the first mesh is written to the disk cache, which contains names: all meshes of a batch
+    # could fill the disk.
     with noting() as warned:
-        mesh = load_mesh(file, cache=True if _mesh.cache_info().misses == 1 else "read")
+        first = named and _mesh.cache_info().misses == 1
+        mesh = load_mesh(file, cache=True if first else "read")
     return mesh, warned
 
 

@@ -12,6 +12,7 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -22,9 +23,10 @@ from facerender.commands.output import (
     make_usable,
     print_message,
     print_result,
+    silenced,
     usage_of,
 )
-from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped
+from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped, withheld
 
 COMMANDS = {
     "render": "render a mesh to one image, several images or an animation",
@@ -105,15 +107,30 @@ def console() -> NoReturn:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return its exit status: 0 done, 1 images differ, 2 bad input or no OpenGL,
     3 some jobs failed, 70 internal error, 130 interrupted."""
+    words = sys.argv[1:] if arguments is None else arguments
+    # Options that cannot be parsed may contain names, too.
+    anonymous = any(word.startswith("--anonymous") for word in words)
     messages: list[str] = []
+    with silenced() if anonymous else nullcontext():
+        status = _run(words, messages, _warning_printer(messages, anonymous))
+    if anonymous:
+        for message in messages:
+            print_message(f"facerender: warning: {message}")
+        if status in (2, INTERNAL_ERROR):
+            print_message(f"facerender: error: {withheld(1, 'message')}")
+    return status
+
+
+def _run(words: Sequence[str], messages: list[str], show_warning: Callable[..., None]) -> int:
+    """Run a command; ``messages`` has the texts of its warnings for its JSON output."""
     with warnings.catch_warnings():
         warnings.simplefilter("always", FacerenderWarning)
-        warnings.showwarning = _warning_printer(messages)
+        warnings.showwarning = show_warning
         try:
-            words = sys.argv[1:] if arguments is None else arguments
             _check_words(words)
             options = parser_of(words).parse_args(words)
             options.warnings = messages
+            options.anonymous = _id(options)
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
@@ -136,6 +153,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return INTERNAL_ERROR
 
 
+def _id(options: argparse.Namespace) -> str | None:
+    """Return the text that replaces all names; None without --anonymous."""
+    name = getattr(options, "id", None)
+    if getattr(options, "anonymous", False):
+        return name or "anonymous"
+    if name is not None:
+        raise InputError(f"--id {name} is for --anonymous: add it, or leave --id out")
+    return None
+
+
 def _check_words(words: Sequence[str]) -> None:
     """Raise InputError for an empty argument, such as a shell variable that is not set."""
     for previous_word, word in zip(["", *words], words, strict=False):
@@ -145,10 +172,15 @@ def _check_words(words: Sequence[str]) -> None:
             raise InputError(f"{subject} is empty: give a value, or leave it out")
 
 
-def _warning_printer(messages: list[str]) -> Callable[..., None]:
+def _warning_printer(messages: list[str], anonymous: bool) -> Callable[..., None]:
+    """Return a function that prints a new warning and adds it to the messages, which are only one
+    message with the number of warnings if they must not contain names."""
+    texts: list[str] = []
+
     def show(message: Warning | str, category: type[Warning], *_: object) -> None:
-        if issubclass(category, FacerenderWarning) and str(message) not in messages:
-            messages.append(str(message))
+        if issubclass(category, FacerenderWarning) and str(message) not in texts:
+            texts.append(str(message))
+            messages[:] = [withheld(len(texts), "warning")] if anonymous else texts
             print_message(f"facerender: warning: {message}")
 
     return show

@@ -88,7 +88,7 @@ backend
 --retry-failed | also redraw jobs that failed in an earlier run
 --prune | delete the files of drawn jobs that the table lacks
 --json | print a line of JSON per chunk, per failed job and at the end
-quiet
+anonymous id quiet
 [instead of drawing]
 --check | check all rows of the table, and read each of their files once
 --status OUT | count the drawn, failed and remaining jobs of the batch in this folder or URL | none
@@ -105,7 +105,9 @@ def run(options: argparse.Namespace) -> int:
         from facerender.batch.outputs import file_faults
 
         _check_faults(table, file_faults(table.valid()))
-        print_result(f"{options.jobs}: {table.rows} jobs of {table.meshes} meshes")
+        print_result(
+            f"{options.anonymous or options.jobs}: {table.rows} jobs of {table.meshes} meshes"
+        )
         return 0
     if options.output is None:
         raise InputError("no output: add -o FOLDER")
@@ -134,7 +136,7 @@ def _table(options: argparse.Namespace) -> JobTable:
     build(ImageSettings, image, "image")
     defaults |= {f"mesh.{name}": value for name, value in mesh.items()}
     defaults |= {f"image.{name}": value for name, value in image.items()}
-    defaults |= {"parts": part_materials(options) or None}
+    defaults |= {"parts": part_materials(options) or None, "anonymous": options.anonymous or None}
     return JobTable(options.jobs, defaults)
 
 
@@ -166,7 +168,8 @@ def _draw(options: argparse.Namespace, table: JobTable) -> int:
         work = stack.enter_context(records.spooled(table, settings, options.chunk))
         _check_faults(table)
         storage = stack.enter_context(records.locked(output))
-        records.start(work, storage, settings, options.jobs, options.prune, options.retry_failed)
+        name = options.anonymous or options.jobs
+        records.start(work, storage, settings, name, options.prune, options.retry_failed)
         # An ended worker or scheduler must raise an error: the handler of SIGPIPE ends the process.
         handler = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
         stack.callback(signal.signal, signal.SIGPIPE, handler)

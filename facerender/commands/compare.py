@@ -17,7 +17,7 @@ from facerender.commands.output import print_message, print_result
 from facerender.comparison import pictures
 from facerender.comparison.result import LIMITS, NAMES
 from facerender.comparison.sources import CHECKS, HIGHEST
-from facerender.errors import InputError, clipped, warn
+from facerender.errors import InputError, clipped, warn, withheld
 from facerender.images.files import SUFFIXES, WRITTEN, read_image
 from facerender.system.files import write_text
 from facerender.values.fields import Range
@@ -72,7 +72,7 @@ LIMITS
 --sheet OUT.png | picture of A, B and their difference, for two images | none
 --report OUT.html | HTML page with all images and metrics | none
 --json | print every metric as JSON
-quiet verbose
+anonymous id quiet verbose
 """
 
 
@@ -98,13 +98,17 @@ def run(options: argparse.Namespace) -> int:
     results, entries, status = [], [], 0
     all_pairs = f"{len(names)} pairs" if len(names) > 1 else "a pair"
     with progress_bar(options) as progress:
-        for number, name in enumerate(names):
+        for number, (name, a, b) in enumerate(names):
             progress(all_pairs, number / len(names))
-            pair = Pair.of(*name, mask=mask, **limits)
-            present = [os.path.lexists(path) for path in name[1:]]
+            if hidden := options.anonymous is not None:
+                name = f"{options.anonymous} {number + 1}" if len(names) > 1 else options.anonymous
+            pair = Pair.of(name, a, b, mask=mask, anonymous=hidden, **limits)
+            present = [os.path.lexists(path) for path in (a, b)]
             if os.path.isdir(options.a) and not all(present):
                 folder = options.a if present[0] else options.b
                 pair = replace(pair, error=f"{pair.name} is only in {folder}")
+            if hidden and pair.error:
+                pair = replace(pair, error=withheld(1, "message"))
             status = max(status, pair.status)
             results.append(pair.as_dict())
             if options.report:
@@ -152,7 +156,7 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     """Find limits that all pairs of images pass, and print or write these limits."""
     from facerender.comparison.calibration import ENOUGH, calibration_of, runs_of, text_of
 
-    for name in ("a", *NAMES, "limits", "same_driver", "heatmap", "sheet", "report"):
+    for name in ("a", *NAMES, "limits", "same_driver", "heatmap", "sheet", "report", "anonymous"):
         if getattr(options, name) not in (None, False):
             option = name.upper() if name == "a" else f"--{name.replace('_', '-')}"
             raise InputError(f"--calibrate finds limits instead of comparing: leave out {option}")

@@ -47,7 +47,7 @@ mesh
 --lobe | lobe of shading B | the scene file's, otherwise {_LOBE}
 --against | lobe of shading A, against which the page measures B | exact
 [options]
-quiet verbose
+anonymous id quiet verbose
 """
 
 
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
         output = options.output
         raise InputError(f"{output}: the explorer is an HTML page; give a name that ends in .html")
     job, cameras = job_of(options, None)
-    output = options.output or f"{Path(job.mesh.path or 'head').stem}.html"
+    output = options.output or f"{job.stem}.html"
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
     check_outputs([output], files_read(options, job), None if options.output else output)
@@ -70,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         # The page applies these factors itself, so that its controls can remove them.
         factors = job.material.items()
         material = {name: factor for name, factor in factors if name not in TERM_FACTORS}
-        mesh = replace(job, material=material).scene().mesh
+        mesh = replace(job, material=material).scene().labelled.mesh
         progress("page", 0.0)
         page = explorer_page(job, mesh, a, b, plays(options, job.pose))
     write_text(output, page)

@@ -181,6 +181,9 @@ MESH | mesh file: {", ".join([*FORMATS][:-1])} or {[*FORMATS][-1]} | the built-i
 --quiet | print only warnings and errors on standard error
 --verbose | log each step and its start time on standard error
 --backend | OpenGL backend | auto
+--anonymous | leave names of files, parts and cameras, and their paths, out of all output
+    | off | Warnings and errors are only counted, since they may contain names
+--id ID | text that replaces the name of the mesh with --anonymous | anonymous
 --within FRACTION | fraction of each image's covered pixels that must meet the budget | 100%
 --part NAME=PRESET | material of some parts; repeat for other parts | the mesh file's
     | Give NAME=PRESET, NAME,FACTOR=VALUE,... or both, such as 'eye*=sclera' or

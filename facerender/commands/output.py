@@ -9,7 +9,7 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, redirect_stderr, suppress
 from typing import Any, TextIO
 
 from facerender.errors import FacerenderError, reason
@@ -55,6 +55,19 @@ def _reported() -> Iterator[None]:
         raise FacerenderError(
             f"cannot write standard output: {reason(error)}; redirect it to another place"
         ) from None
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Discard standard error of this process and of new processes within the context."""
+    with open(os.devnull, "w") as nothing, redirect_stderr(nothing):
+        original = os.dup(2)
+        os.dup2(nothing.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(original, 2)
+            os.close(original)
 
 
 def print_message(*lines: object) -> None:

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -282,7 +281,7 @@ backend
 --no-cache | do not use the cache in ~/.cache/facerender
 --memory MIB | limit of the estimated memory | the free memory | A scene that needs more is refused
 --json | print output files, driver, terms and warnings as JSON
-quiet verbose
+anonymous id quiet verbose
 """
 
 
@@ -339,7 +338,7 @@ def run(options: argparse.Namespace) -> int:
     """Draw and write the images of a command line, and print their names."""
     job, cameras = job_of(options, ImageSettings(options.size).size if options.size else None)
     check_inputs(job)
-    output = options.output or f"{Path(job.mesh.path or 'head').stem}.png"
+    output = options.output or f"{job.stem}.png"
     playing = plays(options, job.pose)
     _check(options, output, playing, len(cameras))
     step = step_log(options)
@@ -382,7 +381,8 @@ def run(options: argparse.Namespace) -> int:
 
             scene, poses = replace(scene, mesh=posed(scene.mesh, job.pose)), [Pose()]
             limits = options.budget, job.shading, options.exposure, options.within or 1.0
-            plan = cached_plan(scene, *limits, renderer, cache=not options.no_cache)
+            cache = not (options.no_cache or job.anonymous)
+            plan = cached_plan(scene.labelled, *limits, renderer, cache=cache)
             shading, detail = Shading.from_dict(plan["shading"]), LevelOfDetail(**plan["detail"])
         else:
             shading, detail = job.shading, job.detail(renderer.samples, options.scene)

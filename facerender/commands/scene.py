@@ -96,6 +96,8 @@ def job_of(
     )
     # Texts: the job's records parse them, as in a scene file.
     tables |= values_of(options, "environment", "ambient", "background")
+    if options.anonymous:
+        tables["anonymous"] = options.anonymous
     if rig := [options.lights] * bool(options.lights) + (options.light or []):
         tables["lights"] = rig
     tables["pose"] = _pose(options, tables.get("pose", Pose()))
@@ -279,7 +281,8 @@ def load(job: Job, cache: bool = False, ahead: bool = True) -> Scene:
     cache : whether the disk cache is used for the mesh and its decoded maps
     ahead : whether threads start to decode the maps before the renderer is created
     """
-    scene = job.scene(load_mesh(job.mesh, cache="read" if cache and not ahead else cache))
+    read_only = not ahead or job.anonymous is not None  # the cache contains names
+    scene = job.scene(load_mesh(job.mesh, cache="read" if cache and read_only else cache))
     # Threads decode the maps while this one creates the context.
     albedo: Kind = "linear-color" if job.image.float_albedo else "color"
     if ahead:
@@ -298,10 +301,11 @@ def _cameras(
 
     in_file : whether the scene file has a camera; otherwise the first of its camera path counts
     """
-    camera, path = job.camera, [*job.cameras]
+    unnamed: dict[str, Any] = {} if job.anonymous is None else {"name": ""}  # names from files
+    camera, path = replace(job.camera, **unnamed), [replace(c, **unnamed) for c in job.cameras]
     if path and not in_file:
         camera = path[0]
-    changes = values_of(options, "fov", "frame", "orthographic")
+    changes = values_of(options, "fov", "frame", "orthographic") | unnamed
     if (target := getattr(options, "looked_at", None)) is not None:
         changes["target"] = target
     if not options.camera:
@@ -340,7 +344,8 @@ def _views(
         return {f"turntable_{i:03d}": turn for i, turn in enumerate(turns)}
     if word == "gltf" or text.lower().endswith(CAMERA_FILES):
         cameras = _file_cameras(text, mesh, size)
-        return {name: replace(file_camera, **changes) for name, file_camera in cameras.items()}
+        views = {name: replace(view, **changes) for name, view in cameras.items()}
+        return named(views.values(), "camera") if "name" in changes else views
     texts = STANDARD_ANGLES if text == "standard" else [text]
     return {
         text.replace(",", "_"): orbiting(camera, **{**Camera.parse(text, WHERE), **changes})

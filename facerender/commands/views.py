@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from facerender.commands.options import (
     BACKEND,
@@ -23,7 +25,7 @@ from facerender.commands.options import (
     check_outputs,
     step_log,
 )
-from facerender.commands.output import print_message, print_result
+from facerender.commands.output import print_result
 from facerender.commands.render import ahead, file_names
 from facerender.commands.scene import check_inputs, fields_set, files_read, job_of, load
 from facerender.comparison.pictures import changes, picture
@@ -31,7 +33,7 @@ from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import IMAGE_FORMATS, Frame
 from facerender.drawing.renderer import Renderer
 from facerender.errors import warn
-from facerender.images.animation import arranged
+from facerender.images.animation import MAX_COLUMNS, arranged
 from facerender.mesh.hints import known_millimetres
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.registration import register
@@ -43,6 +45,7 @@ from facerender.system.files import make_folder
 from facerender.values.fields import MEMORY
 
 GREY = (0.18, 0.18, 0.18)  # the background, neutral
+_WIDEST = 8192  # largest width of a sheet, in pixels
 _APART = 0.5  # largest distance of the eyes of two scans of one frame, in eye distances
 
 
@@ -87,7 +90,7 @@ backend
 --no-cache | do not use the cache in ~/.cache/facerender
 --memory MIB | limit of the estimated memory | the free memory
 --json | print output files, scale, residuals and warnings as JSON
-quiet verbose
+anonymous id quiet verbose
 """
 
 
@@ -142,11 +145,28 @@ def _moved(cameras: Sequence[Camera], first: Mesh, mesh: Mesh) -> list[Camera]:
     ]
 
 
-def _labels(paths: Sequence[str]) -> list[str]:
-    """Return a name for the images of each mesh file: its stem, numbered if two are equal."""
-    stems = [Path(path).stem for path in paths]
+def _labels(paths: Sequence[str], anonymous: str | None) -> list[str]:
+    """Return a name for the images of each mesh file: its stem, or the text ``anonymous`` that
+    replaces it, numbered if two are equal."""
+    stems = [anonymous or Path(path).stem for path in paths]
     numbered = [f"{stem}-{number}" for number, stem in enumerate(stems, 1)]
     return numbered if len({*stems}) < len(stems) else stems
+
+
+def _registered(
+    scenes: Sequence[Scene], labels: Sequence[str], quiet: bool
+) -> tuple[list[Scene], dict[str, float]]:
+    """Return the scenes, with their meshes in the space of the first, and the median distances that
+    remain, by label. Print the distances."""
+    moved, residuals = [scenes[0]], {}
+    for scene, label in zip(scenes[1:], labels[1:], strict=True):
+        registration = register(scene.mesh, scenes[0].mesh)
+        moved.append(replace(scene, mesh=registration.mesh))
+        residuals[label] = registration.residual
+        if not quiet:
+            distance = f"median residual {registration.residual:.2g} {registration.unit}"
+            print_result(f"{label} registered to {labels[0]}: {distance}")
+    return moved, residuals
 
 
 def run(options: argparse.Namespace) -> int:
@@ -160,76 +180,72 @@ def run(options: argparse.Namespace) -> int:
         job, cameras = job_of(one, ImageSettings(options.size).size if options.size else None)
         check_inputs(job)
         jobs.append(job)
-    labels, folder, size = _labels(options.mesh), make_folder(options.output), jobs[0].image.size
+    labels, several = _labels(options.mesh, options.anonymous), len(jobs) > 1
+    folder, size = make_folder(options.output), jobs[0].image.size
     names = [f"{label}-{view}" for label in labels for view in cameras]
-    sheets = [f"sheet.{options.format}", *[f"changes.{options.format}"] * (len(jobs) > 1)]
-    files = [*file_names(f"{{name}}.{options.format}", names), *sheets]
-    outputs = [Output(str(folder / file), **settings) for file in files]
+    files = [*file_names("{name}", names), "sheet", *["changes"] * several]
+    outputs = [Output(str(folder / f"{file}.{options.format}"), **settings) for file in files]
     read = chain.from_iterable(files_read(one, job) for job in jobs)
     check_outputs([output.path for output in outputs], read)
     step("mesh")
     scenes = [load(job, not options.no_cache, ahead=options.memory is None) for job in jobs]
-    first, residuals = scenes[0].mesh, {}
+    residuals: dict[str, float] = {}
     if options.register:
-        for number, scene in enumerate(scenes[1:], 1):
-            result = register(scene.mesh, first)
-            scenes[number] = replace(scene, mesh=result.mesh)
-            residuals[labels[number]] = result.residual
-            if not options.quiet:
-                distance = f"median residual {result.residual:.2g} {result.unit}"
-                text = f"registered to {labels[0]}, {distance}"
-                print_message(f"facerender: {labels[number]}: {text}")
+        scenes, residuals = _registered(scenes, labels, options.json)
+    first = scenes[0].mesh
     frame = _frame_of(cameras.values(), scenes[0], size[0] / size[1])
     if options.mm_per_pixel is not None:
         frame = [to_scale(camera, first, options.mm_per_pixel, size) for camera in frame]
     step("OpenGL context")
-    pixels: list[NDArray[np.uint8]] = []
-    depths: list[NDArray[np.float64]] = []
+    columns = len(cameras) if several else min(len(cameras), MAX_COLUMNS)
+    reduced = math.ceil(columns * size[0] / _WIDEST)
+    cells: list[NDArray[np.uint8]] = []
+    reliefs: list[NDArray[np.float64]] = []
     with Renderer.of(jobs[0], options.backend, options.memory) as renderer:
 
         def drawn() -> Iterator[Frame]:
             for job, scene in zip(jobs, scenes, strict=True):
-                for camera in (
-                    _moved(frame, first, scene.mesh) if scene.mesh is not first else frame
-                ):
+                for camera in _moved(frame, first, scene.mesh):
                     view = replace(scene, camera=camera)
-                    terms = ("image", "depth") if len(jobs) > 1 else ("image",)
+                    terms = ("image", "depth") if several else ("image",)
                     frames = renderer.render_outputs(view, terms, job.shading)
-                    if "depth" in frames:
-                        depths.append(_relief(frames["depth"], view))
+                    if several:
+                        reliefs.append(_relief(frames["depth"], view)[::reduced, ::reduced])
                     yield frames["image"]
 
         for output, image in zip(outputs, ahead(drawn()), strict=False):
             image.save(output)
-            pixels.append(image.srgb8(output.exposure, output.tone, output.scale_bar))
-    plain = replace(outputs[-1], exposure=0.0, tone="linear", scale_bar=False)
-    length = known_millimetres(first)
+            cell = image.srgb8(output.exposure, output.tone, output.scale_bar)
+            cells.append(np.asarray(Image.fromarray(cell[..., :3]).reduce(reduced)))
     titles = [*cameras] * len(jobs)
-    if len(jobs) > 1:  # the first image of a row names the scan
+    if several:  # the first image of a row names the scan
         titles[:: len(cameras)] = [f"{label}: {titles[0]}" for label in labels]
-    columns = 4 if len(jobs) == 1 else len(cameras)
-    sheet = replace(picture(arranged(pixels, titles, columns), {}), mm_per_pixel=image.mm_per_pixel)
-    sheet.save(replace(plain, path=outputs[len(names)].path))
-    if len(jobs) > 1:
-        count = len(cameras)
-        pixel = (frame[0].view_height or 0.0) / size[1] * (length or 1.0)
-        unit = "mm" if length else "mesh units"
-        pairs = [(depths[number % count], depth) for number, depth in enumerate(depths)][count:]
-        changed = changes(pairs, pixels[count:], titles[count:], pixel, unit)
-        replace(picture(changed, {}), mm_per_pixel=image.mm_per_pixel).save(plain)
-    written = [output.path for output in outputs]
-    if options.json:
-        result = {
-            "output": written,
-            "size": size,
-            "scale": image.metadata["scale"],
-            "mm_per_pixel": image.mm_per_pixel,
-            "residuals": residuals,
-            "warnings": options.warnings,
-        }
-        print_result(json.dumps(result, indent=2))
+    sheets = [arranged(cells, titles, columns)]
+    if several:
+        length = known_millimetres(first)
+        pixel = reduced * view_of(replace(scenes[0], camera=frame[0]), size[0] / size[1]).pixel(
+            first, size, 1.0
+        )
+        scale = pixel * (length or 1.0), "mm" if length else "mesh units"
+        pairs = [*zip(reliefs[:columns] * (len(jobs) - 1), reliefs[columns:], strict=True)]
+        sheets.append(changes(pairs, cells[columns:], titles[columns:], *scale))
+    for output, sheet in zip(outputs[len(names) :], sheets, strict=True):
+        millimetres = image.mm_per_pixel and reduced * image.mm_per_pixel
+        output = replace(output, exposure=0.0, tone="linear", scale_bar=False)
+        replace(picture(sheet, {}), mm_per_pixel=millimetres).save(output)
+    paths = [output.path for output in outputs]
+    if not options.json:
+        print_result(*paths)
         return 0
-    print_result(*written)
+    result = {
+        "output": paths,
+        "size": size,
+        "scale": image.metadata["scale"],
+        "mm_per_pixel": image.mm_per_pixel,
+        "residuals": residuals,
+        "warnings": options.warnings,
+    }
+    print_result(json.dumps(result, indent=2))
     return 0
 
 

@@ -359,15 +359,18 @@ class Pair:
         reference: Comparable,
         image: Comparable,
         limits: Mapping[Encoding, Mapping[str, float]] = MappingProxyType({}),
+        anonymous: bool = False,
         **options: Any,
     ) -> Pair:
         """Compare two images with options of :func:`compare`; ``error`` has the message of an
-        ``InputError``. If options are None, ``limits`` apply, keyed by the images' encoding."""
+        ``InputError``. If options are None, ``limits`` apply, keyed by the images' encoding. If
+        ``anonymous`` is true, the images lose their names."""
         images: list[ImageData | None] = [None, None]
         failure = ""
         for number, source in enumerate((reference, image)):
             try:
-                images[number] = as_image(source, "AB"[number])
+                data = as_image(source, "AB"[number])
+                images[number] = data.renamed(f"image {number + 1}") if anonymous else data
             except InputError as error:
                 failure = failure or str(error)
         a, b = images

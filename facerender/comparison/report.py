@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from html import escape
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -151,7 +152,7 @@ def _properties(pair: Pair) -> str:
         height, width, channels = image.pixels.shape
         encoding = "linear" if image.encoding == "linear" else "8-bit sRGB"
         pixels = f"{width} × {height}, {number_of(channels, 'channel')}, {encoding}"
-        properties[letter] = {"image": image.name, "pixels": pixels}
+        properties[letter] = {"image": PurePath(image.name).name, "pixels": pixels}
         if image.color_space:
             properties[letter]["colour space"] = image.color_space
         if image.profile:

@@ -10,7 +10,7 @@ from typing import Any
 from facerender.comparison.sources import HIGHEST
 from facerender.comparison.windows import MOVED
 from facerender.errors import check_range
-from facerender.images.image import Encoding
+from facerender.images.image import DRIVER_KEYS, Encoding
 
 FOREIGN = 6.0  # factor on the limits of trend, grain and texture if another driver drew image B
 SURE = 6.0  # a trend counts if it exceeds this number of standard errors
@@ -19,8 +19,6 @@ BLUR = 1.5  # factor on the limits of grain and texture if B has less of these t
 _SLIGHT = 50
 _SLIGHT_FRACTION = 1e-4
 HOLES = 2  # largest number of holes that passes, since cracks and hairs cause some
-# Metadata that a change of the scene or of the settings does not change.
-DRIVER_KEYS = ("GL_RENDERER", "GL_VERSION", "facerender")
 _MAX_CHANGES = 3  # of the metadata in a text
 
 

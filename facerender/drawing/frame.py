@@ -84,7 +84,8 @@ def frame_metadata(
     shaded : resolved scene of shaded images
     settings : metadata of the renderer
     """
-    mesh, look = scene.mesh, resolve(scene, shading, albedo).appearance
+    look, scene = resolve(scene, shading, albedo).appearance, scene.labelled
+    mesh = scene.mesh
     texts = {"mesh": _mesh(mesh)}
     for field in fields(Material):
         values = [getattr(material, field.name) for material in mesh.materials]

@@ -677,6 +677,7 @@ def render(
     background: BackgroundSource = Scene.background,
     environment: EnvironmentSource | None = None,
     only: Only | None = None,
+    anonymous: str | None = None,
 ) -> Frame:
     """Render one image of a mesh.
 
@@ -690,7 +691,7 @@ def render(
     m : RMS slope of the microfacets of the skin (:attr:`Mesh.skin`), which replaces the roughness
         map; default: the values of the mesh
     size, samples, backend : see :class:`Renderer`
-    camera, lights, ambient, background, environment : see :class:`Scene`
+    camera, lights, ambient, background, environment, anonymous : see :class:`Scene`
     only : see :meth:`Renderer.render`
     """
     shading = Shading(model, lobe, fresnel, masking=masking, outside=outside)
@@ -698,6 +699,6 @@ def render(
     if m is not None:
         loaded = loaded.with_skin(m=m)
     prepare.start_maps(prepare.resolved_parts(loaded))
-    scene = Scene(loaded, camera, lights, ambient, background, environment)
+    scene = Scene(loaded, camera, lights, ambient, background, environment, None, anonymous)
     with Renderer(size, samples=samples, backend=backend) as renderer:
         return renderer.render(scene, shading, only)

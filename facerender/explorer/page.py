@@ -10,7 +10,7 @@ from base64 import b64encode
 from dataclasses import asdict, replace
 from io import BytesIO
 from itertools import product
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from facerender.drawing.prepare import resolved_parts
 from facerender.drawing.program import fixed_attributes, part_uniforms, surface_features
 from facerender.errors import InputError, warn
 from facerender.glsl.library import call, shader_dir, shader_source, term_source
+from facerender.loading import MESH_PATHS, MeshFile
 from facerender.material import MAPS, Material, part_text
 from facerender.mesh.mesh import Mesh, drawn_alpha, slope_range
 from facerender.page import document
@@ -28,6 +29,7 @@ from facerender.scene.background import clear_color
 from facerender.scene.camera import AZIMUTHS_BY_NAME, Camera
 from facerender.scene.job import Job
 from facerender.scene.light import LIGHT_KINDS, Light
+from facerender.scene.pose import Pose
 from facerender.scene.scene import AMBIENT, Scene, default_lights
 from facerender.scene.shading import SMALL_SLOPE, Shading, Term
 from facerender.scene.view import FRAMING_MARGIN, following, region_of, target_of, view_of
@@ -394,20 +396,30 @@ def _light(light: Light, mesh: Mesh) -> dict[str, Any]:
     return values | {"azimuth": azimuth, "elevation": elevation, "distance": distance}
 
 
+# Fields of MeshFile that contain no names.
+_NAMELESS = "flip_v allow_outside as_is double_sided occlusion normal_map_y up rotate"
+
+
 def _words(job: Job) -> dict[str, Any]:
-    """Return the mesh's files as command-line arguments, and material and pose as TOML."""
+    """Return the mesh's files as command-line arguments, without their directories, and material
+    and pose as TOML. If the job is anonymous, options with names are left out."""
+    if job.anonymous is not None:
+        orientation = {name: getattr(job.mesh, name) for name in _NAMELESS.split()}
+        job = replace(job, mesh=MeshFile(job.anonymous, **orientation), parts={}, pose=Pose())
     options = {}
     for name, value in plain(job.mesh, changed=True).items():
+        value = PurePath(value).name if name in MESH_PATHS else value
         text = ",".join(map(str, value)) if isinstance(value, tuple | list) else str(value)
         argument = "" if value is True else f" {shlex.quote(text)}"
         options[name] = f"--{name.replace('_', '-')}{argument}"
-    words = [shlex.quote(job.mesh.path)] if job.mesh.path else []
-    others = "flip_v allow_outside as_is double_sided occlusion normal_map_y parts hide up rotate"
-    words += [options[name] for name in others.split() if name in options]
+    words = [shlex.quote(PurePath(job.mesh.path).name)] if job.mesh.path else []
+    words += [options[name] for name in f"{_NAMELESS} parts hide".split() if name in options]
     words += [f"--part {shlex.quote(part_text(*entry))}" for entry in job.parts.items()]
     maps = ("albedo", "normal_map", "specular_map", "roughness_map")
     factors = {n: value for n, value in job.material.items() if n not in (*TERM_FACTORS, *UNDRAWN)}
     pose = plain(job.pose, changed=True)
+    if job.pose.vertices is not None:
+        pose["vertices"] = PurePath(job.pose.vertices).name
     return {
         "shell": " ".join(words),
         "maps": {name: options[name] for name in maps if name in options},

@@ -4,7 +4,7 @@ metadata of the file."""
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, get_args
 
@@ -100,6 +100,8 @@ def neutral(color: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 Encoding = Literal["linear", "srgb8"]
+# Metadata of the driver and of the package, which contain no names of files or of their parts.
+DRIVER_KEYS = ("GL_RENDERER", "GL_VERSION", "facerender")
 HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 
@@ -128,6 +130,13 @@ class ImageData:
     profile: str = ""
     jpeg: bool = False
     noise: float = 0.0
+
+    def renamed(self, name: str) -> ImageData:
+        """Return the image with another name, without metadata that may contain names."""
+        kept = {key: text for key, text in self.metadata.items() if key in DRIVER_KEYS}
+        if self.metadata.get("textures") == "float":  # such drivers' images differ less
+            kept["textures"] = "float"
+        return replace(self, name=name, metadata=kept, profile="")
 
     @property
     def color(self) -> NDArray[np.float32]:

@@ -163,6 +163,23 @@ class Mesh:
         pose = self.pose and MeshPose(geometry, moved_parts, geometry.bounds)
         return Mesh(geometry, mesh.materials, pose)
 
+    def renamed(self, name: str) -> Mesh:
+        """Return a copy of the mesh with another name, parts called ``part1``, ``part2``..., and
+        maps called by the fields of :class:`Material`. Shapes, joints and clips keep their names,
+        since poses need them."""
+
+        def numbered(parts: Iterable[Part]) -> tuple[Part, ...]:
+            return tuple(replace(part, name=f"part{i}") for i, part in enumerate(parts, 1))
+
+        materials = [
+            replace(m, **{k: t.renamed(k.replace("_", " ")) for k in MAPS if (t := getattr(m, k))})
+            for m in self.materials
+        ]
+        old, framing = self.geometry, self.geometry.framing  # which depends on names
+        geometry = replace(old, name=name, parts=numbered(old.parts), known_framing=framing)
+        pose = self.pose and replace(self.pose, geometry=geometry, parts=numbered(self.pose.parts))
+        return Mesh(geometry, tuple(materials), pose)
+
     def _named(self, option: str, names: str | Iterable[str]) -> set[int]:
         return {i for name in names_of(option, names) for i in self.called(name)}
 

@@ -175,10 +175,16 @@ class Job:
         (),
         "camera path of ``facerender plan``, or the views of a scene file",
     )
+    anonymous: str | None = field_of(Scene, "anonymous")
 
     def __post_init__(self) -> None:
         set_default_light(self)
         check_environment(self)
+
+    @property
+    def stem(self) -> str:
+        """The name of an output that has no other name, without suffix."""
+        return self.anonymous or Path(self.mesh.path or "head").stem
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Job:
@@ -237,7 +243,7 @@ class Job:
         if self.mesh.lobe_map and not any(material.two_lobes for material in loaded.materials):
             warn_of_one_lobe(loaded.name, "lobe_map")
         light = self.lights, self.ambient, self.background, self.environment
-        return Scene(loaded, self.camera, *light, previous_scene)
+        return Scene(loaded, self.camera, *light, previous_scene, self.anonymous)
 
     def detail(self, samples: int, name: str = "the scene") -> LevelOfDetail:
         """Return the level of detail of an image with the renderer's samples per pixel. The planned

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from facerender.errors import InputError, quoted
@@ -12,7 +13,7 @@ from facerender.scene.background import BACKGROUNDS, ENVIRONMENT, BackgroundSour
 from facerender.scene.camera import ORBITS, Camera
 from facerender.scene.environment import Environment, EnvironmentSource, load_environment
 from facerender.scene.light import RIGS, Light
-from facerender.values.fields import Built, Several, field, record
+from facerender.values.fields import TEXT, Built, Several, field, record
 from facerender.values.vectors import COLORS, Vector
 
 if TYPE_CHECKING:
@@ -74,6 +75,13 @@ class Scene:
     )
     environment: Environment | None = None
     before: Scene | None = None
+    anonymous: str | None = field(
+        TEXT,
+        None,
+        "text that metadata and records contain instead of the name of the mesh; they then contain "
+        "no names of parts, cameras and files",
+        unset="none, and names appear",
+    )
 
     if TYPE_CHECKING:
 
@@ -86,6 +94,7 @@ class Scene:
             background: BackgroundSource = ...,
             environment: EnvironmentSource | None = ...,
             before: Scene | None = ...,
+            anonymous: str | None = ...,
         ) -> None: ...
 
     def __post_init__(self) -> None:
@@ -102,6 +111,20 @@ class Scene:
         if not isinstance(self.before, Scene | None):
             raise InputError(f"before = {quoted(self.before)}: give the scene of the frame before")
         set_default_light(self)
+
+    @property
+    def labelled(self) -> Scene:
+        """The scene with the names that metadata and records may contain; see ``anonymous``."""
+        if self.anonymous is None:
+            return self
+        camera, back, light = replace(self.camera, name=""), self.background, self.environment
+        if light is not None:
+            light = replace(light, panorama=replace(light.panorama, name="environment map"))
+        if isinstance(back, ImageData):
+            back = back.renamed("background image")
+        before = self.before and replace(self.before, anonymous=self.anonymous).labelled
+        mesh = self.mesh.renamed(self.anonymous)
+        return Scene(mesh, camera, self.lights, self.ambient, back, light, before, self.anonymous)
 
 
 def default_lights(has_environment: bool) -> tuple[Light, ...]:

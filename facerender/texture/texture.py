@@ -250,6 +250,10 @@ class Texture:
         image.thumbnail((512, 512))
         return png_bytes(np.asarray(image), {})
 
+    def renamed(self, name: str) -> Texture:
+        """Return this texture with another name."""
+        return self._with(name=name)
+
     def channel(self, index: int, name: str) -> Texture:
         """Return one channel of this texture as a grey texture with the same sampling."""
         channel = index if self._channel is None else self._channel

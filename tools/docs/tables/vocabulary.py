@@ -45,7 +45,10 @@ _MAPS = {(Material, name) for name in MAPS}
 _PLACE = "--camera AZIMUTH,ELEVATION,ZOOM"
 _FILE = "--camera FILE"
 _OPTIONS: Mapping[type, Mapping[str, str]] = {
-    Scene: {"mesh": "MESH", "lights": "--light LIGHT, --lights RIG", "before": "--only motion"},
+    Scene: {
+        **{"mesh": "MESH", "lights": "--light LIGHT, --lights RIG", "before": "--only motion"},
+        "anonymous": "--anonymous --id ID",
+    },
     Camera: {
         **dict.fromkeys(("azimuth", "elevation", "zoom"), _PLACE),
         **dict.fromkeys(("extrinsics", "intrinsics", "size", "distortion", "position"), _FILE),
