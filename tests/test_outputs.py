@@ -316,9 +316,9 @@ def test_signal_during_imports(sent, word, tmp_path):
 
 
 ENDED = """
-import os, signal, subprocess, sys, threading
+import os, shutil, signal, subprocess, sys, tempfile, threading
 from pathlib import Path
-from facerender.system.signals import heed_signals, if_ended, temporary_folder
+from facerender.system.signals import heed_signals, if_ended
 from facerender.system.files import write_whole
 from facerender.system.process import Bar
 
@@ -335,7 +335,8 @@ def write(name):
     except BaseException:  # as trimesh does
         pass
 
-with temporary_folder() as folder, Bar() as progress:
+folder = tempfile.mkdtemp()
+with if_ended(lambda: shutil.rmtree(folder), always=True), Bar() as progress:
     progress("reading", 0.5)
     progress("writing", 0.25)
     write_whole(sys.argv[1], write)

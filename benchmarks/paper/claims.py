@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import numpy as np
@@ -31,7 +32,6 @@ from facerender.pricing.cost import (
     bootstrap,
     by_slope,
 )
-from facerender.system.signals import temporary_folder
 
 Verdict = Literal["holds", "fails", "undecided", "not measured", "for comparison"]
 
@@ -148,7 +148,7 @@ def scalar_cost(repeats: int) -> tuple[dict[str, Interval], str]:
     NotMeasured : the compiler is missing or fails
     """
     source = str(Path(__file__).with_name("scalar.c"))
-    with temporary_folder() as folder:
+    with TemporaryDirectory() as folder:
         program = os.path.join(folder, "scalar")
         try:
             _output("cc", *FLAGS, source, "-o", program, "-lm")

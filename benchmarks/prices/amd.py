@@ -16,13 +16,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from facerender.errors import InputError, NotMeasured
 from facerender.glsl.library import resolve_includes
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS
-from facerender.system.signals import temporary_folder
 
 FAMILIES = {"navi21": "RDNA2 (navi21)", "vega10": "GCN5 (vega10)"}
 ICD_FOLDERS = (Path("/usr/share/vulkan/icd.d"), Path("/etc/vulkan/icd.d"))
@@ -149,7 +149,7 @@ def spirv(**sources: str) -> tuple[bytes, ...]:
     if compiler is None:
         raise _not_measured("glslangValidator is not installed", "glslang-tools")
     options = "-V -R --target-env vulkan1.1 --auto-map-locations --auto-map-bindings"
-    with temporary_folder() as folder:
+    with TemporaryDirectory() as folder:
         for stage, source in sources.items():
             Path(folder, f"program.{stage}").write_text(source, encoding="utf-8")
         files = [f"program.{stage}" for stage in sources]

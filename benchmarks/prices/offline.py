@@ -16,6 +16,7 @@ import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from facerender.errors import InputError, NotMeasured
@@ -23,7 +24,6 @@ from facerender.glsl.library import translated
 from facerender.glsl.translate import Msl
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS
-from facerender.system.signals import temporary_folder
 
 # The compilers' names of the GPUs, and their architectures.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}
@@ -148,7 +148,7 @@ def statistics(terms: Mapping[str, tuple[str, str]], gpu: str) -> dict[str, Inst
 
 def compilers() -> list[str]:
     """Return the compilers' names and versions; raises as :func:`statistics`."""
-    with temporary_folder() as folder:
+    with TemporaryDirectory() as folder:
         query = "OCL_DRIVER_VERSION"
         subprocess.run([_ocloc(), "query", query], cwd=folder, capture_output=True, check=True)
         intel = Path(folder, query).read_text(encoding="utf-8").strip("\0\n ")
@@ -182,7 +182,7 @@ def _program(prefix: str, prelude: str, expression: str) -> str:
 def _intel(program: str, gpu: str) -> dict[str, list[str]]:
     """Compile with Intel's compiler; return the operations of each kernel by its name."""
     environment = {name: value for name, value in os.environ.items() if "IGC_" not in name}
-    with temporary_folder() as folder:
+    with TemporaryDirectory() as folder:
         Path(folder, "terms.cl").write_text(_OPENCL + program, encoding="utf-8")
         command = [_ocloc(), "compile", "-file", "terms.cl", "-device", gpu]
         run = subprocess.run(
@@ -227,7 +227,7 @@ def _nvidia(program: str, gpu: str) -> dict[str, list[str]]:
         binary = output("CUBIN")
     finally:
         nvrtc.nvrtcDestroyProgram(ctypes.byref(handle))
-    with temporary_folder() as folder:
+    with TemporaryDirectory() as folder:
         path = Path(folder, "terms.cubin")
         path.write_bytes(binary)
         listing = subprocess.run(

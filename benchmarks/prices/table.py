@@ -112,7 +112,8 @@ def compiled(family: str, terms: Mapping[str, Term], seconds: Mapping[str, Term]
     """
     costs = parts(family)
     scenes = [table.scene_with(), table.scene_with(directional=2)]
-    dull = [table.estimate(table.program_of(scene), costs) for scene in scenes]
+    counted = [table.parts_of(table.program_of(scene)) for scene in scenes]
+    dull = [sum(count * costs[name] for name, count in counts.items()) for counts in counted]
 
     def specular(terms: Mapping[str, Term], **material: Any) -> dict[str, Pair]:
         changed = [replace(each, mesh=each.mesh.with_material(**material)) for each in scenes]

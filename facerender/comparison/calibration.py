@@ -12,7 +12,6 @@ Limits for 8-bit images are in another section, since goldens are never 8-bit im
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping
 from configparser import Error as IniError
 from configparser import RawConfigParser
@@ -32,7 +31,7 @@ from facerender.comparison.windows import FULL, filtered, shrunk
 from facerender.errors import InputError, check_range, quoted, reason
 from facerender.images.files import read_image
 from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
-from facerender.system.files import read_file, tables_of
+from facerender.system.files import AnyPath, read_file, tables_of
 from facerender.system.process import Progress, no_progress
 
 PREFIX = "facerender_"
@@ -58,6 +57,7 @@ STATED: dict[Encoding, dict[str, float]] = {
 }
 ALTERED = 3  # largest number of pairs to which changes are applied
 _AROUND = 3  # flat pixels on each side of the brightened pixels
+_Mask = NDArray[Any] | None  # (H, W), as in :func:`compare`
 _OPEN: dict[str, Any] = dict.fromkeys(NAMES, HIGHEST)
 
 
@@ -119,7 +119,7 @@ class Calibration:
         return f"{decimal(100.0 * amount)} %"
 
 
-def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
+def runs_of(folder: AnyPath) -> list[tuple[str, Path, Path]]:
     """Return name, reference and image of each pair of equally named images in any two subfolders,
     each of which contains the images of one run or driver."""
     folder = Path(folder)
@@ -137,12 +137,10 @@ def runs_of(folder: str | os.PathLike[str]) -> list[tuple[str, Path, Path]]:
 
 
 def calibration_of(
-    pairs: list[tuple[str, Path, Path]],
-    mask: NDArray[Any] | None = None,
-    progress: Progress = no_progress,
+    pairs: list[tuple[str, Path, Path]], mask: _Mask = None, progress: Progress = no_progress
 ) -> list[Calibration]:
     """Return limits that all pairs of images pass, separately for linear and for 8-bit images. A
-    pair has a name, and the paths of reference and image. The mask is as in :func:`compare`."""
+    pair has a name, and the paths of reference and image."""
     paths: dict[Encoding, list[list[Path]]] = {}
     least = dict(LIMITS)  # the smallest limits that all pairs pass
     needed: dict[Encoding, dict[str, str]] = {}  # the pair that needs each limit
@@ -177,9 +175,7 @@ def calibration_of(
     return calibrations
 
 
-def _needed(
-    a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
-) -> dict[str, float]:
+def _needed(a: ImageData, b: ImageData, limits: Limits, mask: _Mask) -> dict[str, float]:
     """Return the smallest value that passes, for each limit of ``limits`` that a pair fails."""
     needed: dict[str, float] = {}
     if compare(a, b, mask=mask, **asdict(limits)).same:
@@ -216,9 +212,7 @@ def _least(holds: Callable[[float], bool], low: float, highest: float = HIGHEST)
     return high
 
 
-def _smallest_changes(
-    a: ImageData, b: ImageData, limits: Limits, mask: NDArray[Any] | None
-) -> dict[str, float]:
+def _smallest_changes(a: ImageData, b: ImageData, limits: Limits, mask: _Mask) -> dict[str, float]:
     """Return the smallest amount of each change of image B that the change's limit detects."""
     encoded = b.encoding == "srgb8"
     color = b.pixels[..., : 3 if b.pixels.shape[2] > 2 else 1]
@@ -263,11 +257,8 @@ def _smallest_changes(
     return {name: _least(partial(sees, name), *ends) for name, ends in ranges.items()}
 
 
-def _flattest(
-    image: ImageData, mask: NDArray[Any] | None
-) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
-    """Return a mask of the lit pixels, and two adjacent pixels with the flattest surroundings,
-    neither dark nor highlights."""
+def _flattest(image: ImageData, mask: _Mask) -> tuple[NDArray[np.bool_], tuple[slice, slice]]:
+    """Return a mask of the lit pixels, and two adjacent pixels in the flattest medium area."""
     color, coverage = image.rows(slice(None))
     level = color.mean(axis=-1)
     lit = (coverage >= FULL) & (level > 0.0)
@@ -283,7 +274,7 @@ def _flattest(
     return lit, (slice(row, row + 1), slice(max(column - 1, 0), column + 1))
 
 
-def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]]:
+def read_limits(path: AnyPath) -> dict[Encoding, dict[str, float]]:
     """Return the limits of a .ini, .cfg or .toml file, keyed by the images' encoding."""
     path = Path(path)
     data = _parsed(path)
@@ -296,8 +287,7 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
             try:
                 numbers[name] = float(table[key])
             except (TypeError, ValueError, OverflowError):
-                text = f"{path}: {key} = {quoted(table[key])}: give a number"
-                raise InputError(text) from None
+                raise InputError(f"{path}: {key} = {quoted(table[key])}: give a number") from None
             check_range(f"{path}: {key}", numbers[name], 0.0, HIGHEST)
         limits[encoding] = numbers
     if not any(limits.values()):
@@ -305,9 +295,7 @@ def read_limits(path: str | os.PathLike[str]) -> dict[Encoding, dict[str, float]
     return limits
 
 
-def text_of(
-    path: str | os.PathLike[str], limits: Mapping[Encoding, Mapping[str, tuple[float, str]]]
-) -> str:
+def text_of(path: AnyPath, limits: Mapping[Encoding, Mapping[str, tuple[float, str]]]) -> str:
     """Return limits as sections of a file, in the syntax that the suffix of the path requires."""
     path = Path(path)
     quote = '"' if path.suffix == ".toml" else ""

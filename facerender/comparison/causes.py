@@ -1,15 +1,5 @@
-"""The likely cause of a difference, derived from the pixels of two images.
-
-Each cause leaves its own trace in the change of linear radiance, relative to the pixel's level:
-
-exposure    one factor for all blocks
-codec       a function of the value, fewer values, or noise in the colours
-lobe        light of the lamp's colour, which skin does not tint
-light       light with the colour of the image, changed alike over large areas
-texture     another hue, or fine detail that appears, vanishes or changes sign
-geometry    detail that moved, or a changed coverage
-driver      a few pixels at edges, or faint detail
-"""
+"""The likely cause of a difference, derived from the pixels of two images. Each cause has its trace
+in the change of linear radiance, relative to the pixel's level."""
 
 from __future__ import annotations
 
@@ -25,12 +15,14 @@ from facerender.comparison import windows
 from facerender.comparison.windows import FULL, Float, Mask, cell_sums
 from facerender.images.image import ImageData, srgb_to_linear
 
-LOBE = "another slope, lobe or weight"
-LIGHT = "another light"
-EXPOSURE = "another exposure"
-TEXTURE = "another texture, normal map or noise"
-GEOMETRY = "another mesh or camera"
-DRIVER = "another driver or other samples"
+# Texts of the causes, each with its trace.
+LOBE = "another slope, lobe or weight"  # light of the lamp's colour, which skin does not tint
+LIGHT = "another light"  # light with the colour of the image, changed alike over large areas
+EXPOSURE = "another exposure"  # one factor for all blocks
+TEXTURE = "another texture, normal map or noise"  # another hue, or detail that appears or vanishes
+GEOMETRY = "another mesh or camera"  # detail that moved, or a changed coverage
+DRIVER = "another driver or other samples"  # a few pixels at edges, or faint detail
+# A function of the value, fewer values, or noise in the colours.
 CODEC = "another encoding, such as gamma, JPEG or fewer bits"
 
 _ROWS = 128  # height of a strip
@@ -112,8 +104,7 @@ class Change:
 
     @cached_property
     def _judged(self) -> tuple[Mask, NDArray[np.float64], NDArray[np.float64]]:
-        """Mask of the blocks that changed and are not dark, and their relative change and level,
-        (N, C)."""
+        """Mask of the changed blocks that are not dark, their relative change and level (N, C)."""
         count, sums = self.blocks[..., 0], self.blocks[..., 1:]
         means = sums / np.maximum(count, 1.0)[..., None]
         change, level = np.split(means, 2, axis=-1)
@@ -230,8 +221,7 @@ class Change:
 
 
 def strips(height: int, width: int, *include: int) -> list[slice]:
-    """Return the rows to examine: all of a small image, evenly spaced strips of a larger one, and
-    the strips of the rows ``include``."""
+    """Return all strips of a small image, else evenly spaced strips and the rows ``include``."""
     tops = [*range(0, height, _ROWS)]
     chosen = {*tops[:: -(-height * width // _PIXELS)], *(row // _ROWS * _ROWS for row in include)}
     return [slice(top, min(top + _ROWS, height)) for top in sorted(chosen)]
@@ -283,8 +273,7 @@ def _windows(cells: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the cells of each window, (N, K)."""
     height, width = (side // _WINDOW for side in cells.shape)
     cut = cells[: height * _WINDOW, : width * _WINDOW]
-    parts = cut.reshape(height, _WINDOW, width, _WINDOW).swapaxes(1, 2)
-    return parts.reshape(-1, _WINDOW**2)
+    return cut.reshape(height, _WINDOW, width, _WINDOW).swapaxes(1, 2).reshape(-1, _WINDOW**2)
 
 
 def _residuals(model: NDArray[np.float64], change: NDArray[np.float64]) -> NDArray[np.float64]:

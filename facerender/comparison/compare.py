@@ -37,25 +37,22 @@ _LONE = {
 _LONG = 60  # longer values of the metadata are cut to this number of characters
 _SEPARATOR = re.compile(r"[;,] (?![^(]*\))")  # of the entries of a metadata value, such as a mesh's
 _FIELD = re.compile(r"(\w+)=((?:\([^()]*\)|'[^']*'|[^,()])+)")  # of a value such as Light(m=1)
+_Images = tuple[ImageData, ImageData]
 SAMPLES = "drivers that place samples differently: compare with one sample"
 
 
 def reasons_of(
-    result: Comparison,
-    over: NDArray[np.int8],
-    statistics: BlockStatistics,
-    images: tuple[ImageData, ImageData],
+    result: Comparison, over: NDArray[np.int8], statistics: BlockStatistics, images: _Images
 ) -> tuple[tuple[str, ...], str]:
-    """Return the reasons of a difference, and its likely cause, or "metadata".
-
-    over : (H, W), class of each pixel that exceeds the point limit: SLIVER, SMOOTH, ROUGH or EDGE,
-        negative if the pixel is too dark. Other pixels: 0
-    """
+    """Return the reasons of a difference, and its likely cause, or "metadata". ``over`` is the
+    class of each pixel, (H, W), that exceeds the point limit: SLIVER, SMOOTH, ROUGH or EDGE,
+    negative if the pixel is too dark; 0 for other pixels."""
     wrong = _wrong(result, over)
     block = _block_change(result, images)
     holes = not wrong.any() and result.holes > HOLES
     subtle = "" if wrong.any() or block or holes else _subtle_change(result)
-    uncovered = result.coverage > result.limits.coverage
+    limits = result.limits
+    uncovered = result.coverage > limits.coverage
     if not (wrong.any() or block or holes or subtle or uncovered):
         return (), ""
     height, width = over.shape
@@ -68,8 +65,7 @@ def reasons_of(
         cause = SAMPLES
 
     def because(likely: str) -> str:
-        explained = result.scene_changed and likely == cause
-        return "" if explained else f": perhaps {likely}"
+        return "" if result.scene_changed and likely == cause else f": perhaps {likely}"
 
     reasons = [f"{block}{because(cause)}{_estimate(result, cause)}"] if block else []
     reasons += [f"{subtle}{because(cause)}"] if subtle else []
@@ -82,7 +78,7 @@ def reasons_of(
         fault = _fault(result, over, wrong) if dominant or lonely else ""
         if cause == SAMPLES or (fault == "false highlights" and cause in (LIGHT, EXPOSURE)):
             fault = ""
-        failing = np.abs(np.nan_to_num(statistics.channels)) > result.limits.block
+        failing = np.abs(np.nan_to_num(statistics.channels)) > limits.block
         wrong_sums = windows.block_sums(windows.cell_sums(wrong.astype(np.float32)))
         if fault and block and wrong_sums[failing].all():
             reasons = [f"{block}{because(fault)}{_estimate(result, fault)}"]
@@ -90,14 +86,13 @@ def reasons_of(
         reasons.insert(0 if dominant else len(reasons), text)
     elif holes:
         fault = "" if cause == GEOMETRY else "missing pixels"
-        reasons.append(
-            f"holes: {result.holes} pixels have less than a quarter of their neighbours' light or "
-            f"no coverage, limit {HOLES}{because(fault or cause)}"
-        )
+        lack = "less than a quarter of their neighbours' light or no coverage"
+        text = f"holes: {result.holes} pixels have {lack}, limit {HOLES}"
+        reasons.append(f"{text}{because(fault or cause)}")
     if uncovered:
+        part, limit = decimal(100.0 * result.coverage), decimal(100.0 * limits.coverage, 6)
         reasons.append(
-            f"coverage changed on {decimal(100.0 * result.coverage)} % of the pixels, limit "
-            f"{decimal(100.0 * result.limits.coverage, 6)} %{because(cause)}"
+            f"coverage changed on {part} % of the pixels, limit {limit} %{because(cause)}"
         )
     first = f"{reasons[0]}{result.metadata_text}"
     named = fault if fault and f"perhaps {fault}" in first else cause
@@ -150,13 +145,12 @@ def _pixels(result: Comparison, over: NDArray[np.int8]) -> str:
     point = abs(result.point)
     amount = decimal(point) if result.encoding == "linear" else f"{point:.0f} of 255"
     at_edge = " at edges" if _at_edge(over) else ""
-    return (
-        f"point: {pixels} from the surroundings in the other image by up to {amount}{at_edge}, "
-        f"worst at {result.point_at}, limit {decimal(result.limits.point, 6)}"
-    )
+    limit = decimal(result.limits.point, 6)
+    worst = f"{amount}{at_edge}, worst at {result.point_at}, limit {limit}"
+    return f"point: {pixels} from the surroundings in the other image by up to {worst}"
 
 
-def _block_change(result: Comparison, images: tuple[ImageData, ImageData]) -> str:
+def _block_change(result: Comparison, images: _Images) -> str:
     """Describe the blocks over the block limit, or else the trend over its limit; "" if neither."""
     limits = result.limits
     if not result.blocks:
@@ -165,29 +159,20 @@ def _block_change(result: Comparison, images: tuple[ImageData, ImageData]) -> st
         return text if result.changed_alike else ""
     relative = result.encoding == "linear"
     factor, unit = (100.0, " %") if relative else (1.0, " of 255")
-    plain = _mean_change(result, images)
+    x, y = result.block_at
+    rows, columns = slice(y, y + BLOCK), slice(x, x + BLOCK)
+    parts = [[part[:, columns] for part in image.rows(rows)] for image in images]
+    full = np.minimum(*(alpha for _, alpha in parts)) >= windows.FULL
+    mean_a, mean_b = (color[full].mean(axis=0, dtype=np.float64) for color, _ in parts)
+    scale = np.maximum(np.abs(mean_a), windows.FLOOR) if relative else 1.0
+    plain = float(max((mean_b - mean_a) / scale, key=abs))  # in the channel that changed most
     mean = f"{decimal(factor * plain, sign=True)}{unit}"
     if abs(plain) <= limits.block:
         remaining = decimal(factor * result.block, sign=True)
         mean += f", or {remaining}{unit} without edges and displacement"
-    return (
-        f"block at {result.block_at}: mean {mean}, limit "
-        f"{decimal(factor * limits.block, 6)}{unit * relative}, "
-        f"exceeded by {result.blocks} of {number_of(result.blocks_judged, 'block')}"
-    )
-
-
-def _mean_change(result: Comparison, images: tuple[ImageData, ImageData]) -> float:
-    """Return the change of the mean of the worst block's covered pixels, in the worst channel: a
-    fraction of the mean, or 8-bit levels."""
-    x, y = result.block_at
-    parts = [image.rows(slice(y, y + BLOCK)) for image in images]
-    full = np.minimum(*(alpha[:, x : x + BLOCK] for _, alpha in parts)) >= windows.FULL
-    mean_a, mean_b = (
-        color[:, x : x + BLOCK][full].mean(axis=0, dtype=np.float64) for color, _ in parts
-    )
-    scale = np.maximum(np.abs(mean_a), windows.FLOOR) if result.encoding == "linear" else 1.0
-    return float(max((mean_b - mean_a) / scale, key=abs))
+    limit = f"{decimal(factor * limits.block, 6)}{unit * relative}"
+    over = f"exceeded by {result.blocks} of {number_of(result.blocks_judged, 'block')}"
+    return f"block at {result.block_at}: mean {mean}, limit {limit}, {over}"
 
 
 def _subtle_change(result: Comparison) -> str:
@@ -228,11 +213,9 @@ def _at_edge(over: NDArray[np.int8]) -> bool:
 
 
 def _estimate(result: Comparison, cause: str) -> str:
-    """Return the image's gain as text if one factor explains the change, and its shift if the mesh
-    or the camera may have changed."""
+    """Return the gain as text if it explains the change, or the shift if the geometry changed."""
     x, y = result.shift
-    linear = result.encoding == "linear"
-    if cause == EXPOSURE and linear and abs(result.gain) > 5e-5:
+    if cause == EXPOSURE and result.encoding == "linear" and abs(result.gain) > 5e-5:
         return f" (gain {round(1.0 + result.gain, 4):g})"
     if cause == GEOMETRY and max(abs(x), abs(y)) > 0.01:
         return f" (shift ({decimal(x)}, {decimal(y)}))"

@@ -171,8 +171,7 @@ def _linear_rgb(source: Comparable, metadata: Mapping[str, str]) -> ImageData:
 
 
 def write(path: Path, image: ImageData, options: Mapping[str, Any]) -> None:
-    """Write a golden as 24-bit floats, or as float32 if rounding errors are large compared with the
-    limits."""
+    """Write a golden as 24-bit floats, or as float32 if errors are large by the limits."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

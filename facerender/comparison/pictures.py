@@ -107,8 +107,7 @@ def difference_colours(a: ImageData, b: ImageData) -> tuple[Bytes, float]:
 
 
 def _painted(a: ImageData, b: ImageData, levels: NDArray[np.floating], colors: Bytes) -> Bytes:
-    """Return levels of a signed difference from -1 to 1 in colours (2 N + 1, 3), and violet where
-    only the coverage differs."""
+    """Return levels in [-1, 1] in colours (2 N + 1, 3), and violet if only the coverage differs."""
     pixels = np.empty((*levels.shape, 3), dtype=np.uint8)
     middle = len(colors) // 2
     for rows in strips(a):
@@ -121,13 +120,12 @@ def _painted(a: ImageData, b: ImageData, levels: NDArray[np.floating], colors: B
 
 def signed_difference(a: ImageData, b: ImageData) -> NDArray[np.float32]:
     """Return b - a in the channel that differs most, (H, W)."""
-
-    def worst_of(rows: slice) -> NDArray[np.float32]:
+    worst = np.empty(a.pixels.shape[:2], dtype=np.float32)
+    for rows in strips(a):
         signed = b.rows(rows)[0] - a.rows(rows)[0]
-        worst = np.abs(signed).argmax(axis=-1)[..., None]
-        return np.asarray(np.take_along_axis(signed, worst, axis=-1)[..., 0])
-
-    return np.concatenate([worst_of(rows) for rows in strips(a)])
+        channel = np.abs(signed).argmax(axis=-1)[..., None]
+        worst[rows] = np.take_along_axis(signed, channel, axis=-1)[..., 0]
+    return worst
 
 
 def strips(image: ImageData) -> Iterator[slice]:
@@ -172,12 +170,10 @@ def lossless(pixels: Bytes) -> tuple[bytes, str]:
     """Return pixels as a lossless file, and its format: WebP, or PNG if a side is too long."""
     from PIL import Image
 
-    buffer = BytesIO()
-    if max(pixels.shape) > 16383:
-        Image.fromarray(pixels).save(buffer, "png")
-        return buffer.getvalue(), "png"
-    Image.fromarray(pixels).save(buffer, "webp", lossless=True, method=1, quality=0)
-    return buffer.getvalue(), "webp"
+    buffer, file_format = BytesIO(), "png" if max(pixels.shape) > 16383 else "webp"
+    # Pillow's writer of PNG ignores the options of WebP.
+    Image.fromarray(pixels).save(buffer, file_format, lossless=True, method=1, quality=0)
+    return buffer.getvalue(), file_format
 
 
 GAINS = (1e-3, 1e9)

@@ -28,6 +28,7 @@ INDEX = "\N{SYMBOL FOR UNIT SEPARATOR}"
 OPEN = 10  # largest number of unfolded pairs, so that a page of hundreds opens quickly
 MAP = 1 << 18  # largest number of pixels of a difference
 Square = tuple[int, int, int]  # x, y and side in pixels
+Squares = Mapping[str, Square]  # keyed by name
 # Width of the enlarged area around a square, keyed by the width of the square, in pixels.
 AROUND = {1: 17, BLOCK: 2 * BLOCK}
 
@@ -94,8 +95,7 @@ def _page(entries: Sequence[Mapping[str, Any]]) -> str:
         section = pair["section"].replace(INDEX, str(index))
         sections.append(section.replace("<details", "<details open", unfolded))
     summary = table("names", ("pair", "verdict", "reason"), rows) if len(ranked) > 1 else ""
-    body = f"{summary}{''.join(sections)}{_NOTES}"
-    return document(f"Comparison: {title}", body, "viewer.js")
+    return document(f"Comparison: {title}", f"{summary}{''.join(sections)}{_NOTES}", "viewer.js")
 
 
 def _check_table(result: Comparison) -> str:
@@ -134,8 +134,7 @@ def _check_table(result: Comparison) -> str:
         failed = value > limit and not result.same
         cells = [f'<span class="over">{relation}</span>' if failed else relation]
         amount = check.amount(limit, result.encoding, remark=True)
-        meaning = f"The {check.quantity} may be at most {amount}."
-        cells += [where.get(name, ""), escape(meaning)]
+        cells += [where.get(name, ""), escape(f"The {check.quantity} may be at most {amount}.")]
         rows.append(row(name, cells, "changed" if failed else ""))
     return table("checks", ("check", "value and limit", "B is", "meaning of the limit"), rows)
 
@@ -145,8 +144,7 @@ def _available(pair: Pair) -> dict[str, ImageData]:
 
 
 def _properties(pair: Pair) -> str:
-    """Return a table of the images' names and of all properties and metadata that differ, and a
-    folded table of the others."""
+    """Return a table of the images' names and differing properties, and a folded one of others."""
     properties: dict[str, dict[str, str]] = {}
     for letter, image in _available(pair).items():
         height, width, channels = image.pixels.shape
@@ -227,8 +225,8 @@ _SWAP = (
 )
 
 
-def _squares(pair: Pair) -> dict[str, Square]:
-    """Return the marked squares, keyed by name."""
+def _squares(pair: Pair) -> Squares:
+    """Return the marked squares."""
     squares = {}
     if (result := pair.comparison) is not None:
         if result.block:
@@ -264,11 +262,7 @@ def _enlarged(name: str, square: Square, images: Mapping[str, pictures.Bytes]) -
 
 
 def _figure(
-    css_class: str,
-    caption: str,
-    shape: Sequence[int],
-    images: Mapping[str, str],
-    squares: Mapping[str, Square],
+    css_class: str, caption: str, shape: Sequence[int], images: Mapping[str, str], squares: Squares
 ) -> str:
     """Return a figure of images that lie on each other, keyed by their alternative text."""
     marks = "".join(

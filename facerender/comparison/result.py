@@ -106,13 +106,10 @@ class Comparison:
 
     @property
     def metadata_text(self) -> str:
-        """The changed metadata as text, without the driver's if the scene's changed; "" if there is
-        no change."""
-        changed = [
-            f"{key} {' -> '.join(values)}"
-            for key, values in self.metadata.items()
-            if not (self.scene_changed and key in DRIVER_KEYS)
-        ]
+        """The changed metadata as text, without the driver's if the scene's changed; "" if none."""
+        omitted = DRIVER_KEYS if self.scene_changed else ()
+        pairs = ((key, pair) for key, pair in self.metadata.items() if key not in omitted)
+        changed = [f"{key} {' -> '.join(pair)}" for key, pair in pairs]
         if len(changed) > _MAX_CHANGES:
             changed[_MAX_CHANGES:] = [f"{len(changed) - _MAX_CHANGES} more"]
         return f" (metadata: {', '.join(changed)})" if changed else ""

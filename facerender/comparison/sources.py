@@ -1,5 +1,4 @@
-"""Images that are compared: reading of each kind of source, checks of a pair, and the quantity that
-each limit bounds, with its unit."""
+"""Images that are compared: sources, checks of a pair, and the quantities that limits bound."""
 
 from __future__ import annotations
 

@@ -90,11 +90,9 @@ def block_sums(of_cells: NDArray[np.floating]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class BlockSums:
-    """Sums over the same strip of rows in two images.
-
-    Sums over cells of 4 x 4 pixels have the shape (H, W) and are means over the channels. In linear
-    images a pixel's change and level are divided by the pixel's largest channel in both images.
-    """
+    """Sums over the same strip of rows in two images. Sums over cells of 4 x 4 pixels have the
+    shape (H, W) and are means over the channels. In linear images a pixel's change and level are
+    divided by the pixel's largest channel in both images."""
 
     weight: NDArray[np.float32]  # weights of the pixels, over cells
     # (3, H, W) over cells: weighted changes, and weighted changes that displacements by one pixel
@@ -297,8 +295,7 @@ class BlockStatistics:
         counts = (flat >= LEAST) & self.changed
         if counts.sum() < _FEW:
             return np.zeros(4)
-        medians = np.median(self.sums.grain[:, counts] / flat[counts], axis=1)
-        return np.asarray(medians.clip(0.0))
+        return np.asarray(np.median(self.sums.grain[:, counts] / flat[counts], axis=1).clip(0.0))
 
     @property
     def grain(self) -> float:
@@ -312,16 +309,14 @@ class BlockStatistics:
 
     @cached_property
     def texture(self) -> float:
-        """Variance between adjacent pixels: image's variance minus reference's, divided by the sum
-        of both; the median over blocks."""
+        """Median over blocks of the variance between adjacent pixels: (B - A) / (A + B)."""
         if self.changed.sum() < _FEW:
             return 0.0
         reference, image = self.sums.texture[1:3, self.changed]
         pixels = self.sums.pixels[0][self.changed]
         noise = (2.0 * self.scale.noise) ** 2 * pixels
-        increase = _beyond(
-            image - reference, self._dither(np.minimum(reference, image) / pixels) * pixels
-        )
+        dither = self._dither(np.minimum(reference, image) / pixels) * pixels
+        increase = _beyond(image - reference, dither)
         return float(np.median(increase / (reference + image + noise)))
 
     def _dither(self, variance: Any) -> Any:
@@ -450,19 +445,15 @@ def holes(a: Float, b: Float, full: Mask, scale: Scale) -> Mask:
     # sRGB encodes 1/4 as about 1/2
     fraction, floor = (0.25, 5e-4) if scale is LINEAR else (0.5, 1.0)
     mask = np.zeros(a.shape[:2], dtype=bool)
-    levels = [
-        np.maximum.reduce([x[..., i] for i in range(x.shape[2])]).clip(np.float32(0.0))
-        for x in (a, b)
-    ]
+    planes = ([*np.moveaxis(x, 2, 0)] for x in (a, b))
+    levels = [np.maximum.reduce(channels).clip(np.float32(0.0)) for channels in planes]
     for x, y in (levels, levels[::-1]):
         candidates = full & (y < fraction * x - floor)
         positions = np.argwhere(candidates)
         if not positions.size:
             continue
         padded = np.pad(np.where(full, x, np.inf), 3, constant_values=np.inf)
-        low = np.minimum.reduce(
-            [padded[tuple((positions + (i, j)).T)] for i in range(7) for j in range(7)]
-        )
+        low = np.minimum.reduce([padded[tuple((positions + step).T)] for step in np.ndindex(7, 7)])
         rows, columns = positions[y[candidates] < fraction * low - floor].T
         mask[rows, columns] = True
     return mask

@@ -51,11 +51,9 @@ LEAST_LOSS = 1.0  # Limit of a JPEG map's mean error, in 8-bit levels; above it,
 
 
 def drawable(mesh: Mesh) -> Mesh:
-    """Return a mesh without the features that the page does not draw.
-
-    All parts of the result are opaque. Blended and refracting parts are removed, unless all parts
-    are. Materials have no emission. Maps have strength 1 and use the first texture coordinates.
-    """
+    """Return a mesh without the features that the page does not draw. All parts of the result are
+    opaque. Blended and refracting parts are removed, unless all parts are. Materials have no
+    emission. Maps have strength 1 and use the first texture coordinates."""
     names = (*UNDRAWN, "opacity_map", "emissive_map", "lobe_map", "second_uv")
     unused: dict[str, Any] = {name: getattr(Material, name) for name in names}
     alphas = _alphas(mesh)
@@ -208,15 +206,12 @@ def explorer_page(
     """
     start = job.camera
     if start.position is not None or start.extrinsics is not None or start.orthographic:
-        raise InputError(
-            "the explorer needs a perspective camera that orbits the mesh: give --camera front, "
-            "three-quarter, profile or AZIMUTH,ELEVATION,ZOOM"
-        )
+        remedy = "give --camera front, three-quarter, profile or AZIMUTH,ELEVATION,ZOOM"
+        cause = "needs a perspective camera that orbits the mesh"
+        raise InputError(f"the explorer {cause}: {remedy}")
     if len(job.lights) > MAX_LIGHTS:
-        raise InputError(
-            f"the explorer has at most {MAX_LIGHTS} lights, and there are {len(job.lights)}: "
-            "leave some out"
-        )
+        counts = f"at most {MAX_LIGHTS} lights, and there are {len(job.lights)}"
+        raise InputError(f"the explorer has {counts}: leave some out")
     of_scene, note = ", ".join(_omitted(job, mesh, plays)), ""
     if omitted := ", ".join(filter(None, [*lost_features(mesh), of_scene])):
         warn(f"the explorer shows {mesh.name} without {omitted}")
@@ -330,12 +325,9 @@ def _registry() -> dict[str, Any]:
 
 def _ranges() -> dict[str, Any]:
     """Return the ranges of the numbers that the page changes, as [low, high]."""
+    factors = {name: range_of(Material, name) for name in TERM_FACTORS}
     ranges = {
-        "term": {
-            **{name: range_of(Material, name) for name in TERM_FACTORS},
-            "constant": range_of(Term, "m"),
-            **limits_of(GPower),
-        },
+        "term": {**factors, "constant": range_of(Term, "m"), **limits_of(GPower)},
         "camera": {name: range_of(Camera, name) for name in _CAMERA},
         "light": {name: range_of(Light, name) for name in _LIGHT},
         "image": {"exposure": EXPOSURES},

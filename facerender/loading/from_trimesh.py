@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, reason, warn
 from facerender.images.image import srgb_to_linear
-from facerender.loading.obj import triangles_of, vertices_of
+from facerender.loading.obj import Indices, triangles_of, vertices_of
 from facerender.loading.source import TEXTURE_FILE, References, color_bytes, no_faces, text_of
 from facerender.material import MAPS, Material
 from facerender.mesh.repair import Piece, check_count, placed, with_face_colors, with_faces
@@ -40,8 +40,7 @@ _Columns = Mapping[str, NDArray[Any]]  # keyed by property
 
 
 def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Piece]:
-    """Return a piece for each texture of a PLY file, or one piece without textures. Raise
-    ValueError if the file is damaged."""
+    """Return a piece for each texture of a PLY file, or one; raise ValueError if it is damaged."""
     name = references.name
     data, textures = _checked_ply(data, name)
     vertex, face = _decoded_ply(data, name)
@@ -100,9 +99,7 @@ def read_ply(data: bytes, references: References, albedo_given: bool) -> list[Pi
     return pieces
 
 
-def _colored(
-    piece: Piece, vertex: _Columns, face: _Columns, owners: NDArray[np.int64], name: str
-) -> Piece:
+def _colored(piece: Piece, vertex: _Columns, face: _Columns, owners: Indices, name: str) -> Piece:
     """Return a piece with the colours of the vertices or, without these, of the faces, with the
     index of the polygon in the file (F,) of each triangle."""
     of_vertices, of_faces = (_stacked(columns, _COLORS) for columns in (vertex, face))
@@ -150,8 +147,7 @@ def _checked_ply(data: bytes, name: str) -> tuple[bytes, list[str]]:
 
 
 def _decoded_ply(data: bytes, name: str) -> list[_Columns]:
-    """Return the properties of the vertices and of the faces. A list of one length is an array
-    (N, K), other lists are objects."""
+    """Return the properties of vertices and faces; lists of one length are arrays (N, K)."""
     from trimesh.exchange.ply import load_ply
 
     try:

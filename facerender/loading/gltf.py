@@ -36,6 +36,8 @@ _SOURCES = ("EXT_texture_webp", "", "EXT_texture_avif", "MSFT_texture_dds")
 # A material and the transforms of its texture coordinates: the second for the maps named in
 # ``material.second_uv``, the first for the other maps
 MaterialUv = tuple[Material, Doc, Doc | None]
+# Colours and alpha of an image; None if it is missing or unreadable
+_Image = tuple[Texture, Texture | None] | None
 Float = NDArray[np.float64]
 
 
@@ -60,8 +62,7 @@ def scene_nodes(
         if index in tree:
             raise damaged(name, f"nodes[{index}] has two parents, or is its own ancestor")
         node = nodes[index]
-        transforms = {key: node[key] for key in _TRANSFORMS if key in node}
-        tree[index] = Node(index, parent, transforms)
+        tree[index] = Node(index, parent, {key: node[key] for key in _TRANSFORMS if key in node})
         visibility = node.get("extensions", {}).get("KHR_node_visibility", {})
         if visibility.get("visible", True) and (parent is None or parent in visible):
             visible.add(index)
@@ -86,10 +87,9 @@ def read_gltf(
 
 
 class _File:
-    """A glTF file with checked JSON. Methods raise ValueError if the binary data are damaged.
-    A mesh is read once per skin and weights of its nodes. Parameter ``skin`` is the index of the
-    skin whose joints place the mesh; None: the node places it.
-    """
+    """A glTF file with checked JSON. Methods raise ValueError if the binary data are damaged. A
+    mesh is read once per skin and weights of its nodes. Parameter ``skin`` is the index of the skin
+    whose joints place the mesh; None: the node places it."""
 
     def __init__(self, buffers: Buffers, albedo_given: bool, axes: Float | None) -> None:
         self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
@@ -160,8 +160,7 @@ class _File:
             raise InputError(f"{self.name} draws its geometry more than {_TIMES} times: {remedy}")
 
     def _instances(self) -> dict[int, Sequence[Float | None]]:
-        """Return the transforms of the instances of each visible node with a mesh, keyed by the
-        node's index; None: no transform."""
+        """Return the transforms (or None) of the instances of visible meshes, keyed by the node."""
         instances: dict[int, Sequence[Float | None]] = {}
         count = 0
         for index in self.matrices:
@@ -311,8 +310,7 @@ class Materials:
     def __init__(self, buffers: Buffers, albedo_given: bool) -> None:
         self.buffers, self.name, self.document = buffers, buffers.name, buffers.document
         self.albedo_given = albedo_given
-        # Keyed by the image's index: texture, texture of alpha; None: missing, unreadable
-        self.images: dict[int | None, tuple[Texture, Texture | None] | None] = {}
+        self.images: dict[int | None, _Image] = {}  # keyed by the image's index
         self.material_uvs: dict[int, MaterialUv] = {}
         self.warn = cache(warn)
 
@@ -489,9 +487,7 @@ class Materials:
             image_texture = colors.channel(channel, colors.name)
         return image_texture and image_texture.sampled((u, v), nearest)
 
-    def _image(
-        self, index: int, map_name: str, replaced: bool
-    ) -> tuple[Texture, Texture | None] | None:
+    def _image(self, index: int, map_name: str, replaced: bool) -> _Image:
         """Return an entry of ``images``. An unreadable image raises InputError, or causes a warning
         if the caller replaces the albedo map; ``replaced``: without a warning."""
         entry = self.document["images"][index]

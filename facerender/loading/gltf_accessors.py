@@ -82,8 +82,7 @@ def _rgba(encoded: NDArray[Any]) -> NDArray[Any]:
 
 @dataclass
 class Buffers:
-    """The buffers, views and accessors of a checked glTF document. Methods raise ValueError if
-    the data are damaged or missing."""
+    """The binary data of a checked glTF document. Methods raise ValueError for damaged data."""
 
     name: str
     document: Doc
@@ -295,10 +294,8 @@ class Primitive:
         sets = [i for i in (0, 1) if {f"JOINTS_{i}", f"WEIGHTS_{i}"} <= self.attributes.keys()]
         if not sets:
             return None
-        joints, weights = (
-            np.concatenate([np.asarray(self.column(f"{key}_{i}", 4)) for i in sets], axis=1)
-            for key in ("JOINTS", "WEIGHTS")
-        )
+        joints = np.concatenate([np.asarray(self.column(f"JOINTS_{i}", 4)) for i in sets], axis=1)
+        weights = np.concatenate([np.asarray(self.column(f"WEIGHTS_{i}", 4)) for i in sets], axis=1)
         if joints.dtype.kind != "u":
             raise ValueError(f"{self.where}: its joints have the wrong type")
         return joints, weights

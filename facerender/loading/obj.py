@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _INDENT, _COMMENT = re.compile(r"^ +", re.MULTILINE), re.compile(rb"#[^\n]*")
 _MAX_GROUPS = 256  # maximum number of parts: each part needs a draw call
 _SPACE, _NEWLINE = b" \n"
+Float = NDArray[np.float64]
+Indices = NDArray[np.int64]
 _Keys = tuple[str, str, str]  # names of object, group and material
 
 
@@ -113,7 +115,7 @@ class _Lines:
         self.ends = np.flatnonzero(self.characters == _NEWLINE)
         self.starts = np.concatenate([[0], self.ends[:-1] + 1])
 
-    def numbers(self, key: bytes) -> NDArray[np.int64]:
+    def numbers(self, key: bytes) -> Indices:
         """Return the indices of the lines whose first word is ``key``."""
         lines = np.flatnonzero(self.ends - self.starts > len(key))
         for offset, character in enumerate(key + b" "):
@@ -121,8 +123,7 @@ class _Lines:
         return lines
 
     def content(self, key: bytes) -> bytes:
-        """Return the lines whose first word is ``key``, with spaces instead of this word and
-        without comments."""
+        """Return the lines whose first word is ``key``, blanking this word, without comments."""
         lines, lengths = self.numbers(key), self.ends - self.starts + 1
         mask = np.zeros(len(lengths), dtype=bool)
         mask[lines] = True
@@ -133,7 +134,7 @@ class _Lines:
         text = content.tobytes()
         return _COMMENT.sub(b"", text) if b"#" in text else text
 
-    def table(self, key: bytes, width: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def table(self, key: bytes, width: int) -> tuple[Float, Indices]:
         """Return the first ``width`` numbers of the lines whose first word is ``key``, (N, width),
         and the count of numbers in each line, (N,). Missing numbers are 0."""
         content = self.content(key)
@@ -151,7 +152,7 @@ class _Lines:
         return table, counts
 
 
-def _word_starts(characters: NDArray[np.uint8]) -> NDArray[np.int64]:
+def _word_starts(characters: NDArray[np.uint8]) -> Indices:
     """Return the indices of the first characters of words; the text begins with a space."""
     solid = characters > _SPACE
     return np.flatnonzero(solid[1:] & ~solid[:-1]) + 1
@@ -165,9 +166,7 @@ def _numbers(text: bytes, dtype: type[np.number[Any]]) -> NDArray[Any]:
         return np.empty(0, dtype)
 
 
-def _colors(
-    vertices: NDArray[np.float64], counts: NDArray[np.int64], name: str
-) -> NDArray[np.uint8] | None:
+def _colors(vertices: Float, counts: Indices, name: str) -> NDArray[np.uint8] | None:
     """Return the sRGB colour (N, 3) of each vertex, which follows its position and, in some files,
     its weight; None without colours."""
     missing = (counts != 6) & (counts != 7)
@@ -199,11 +198,8 @@ def _owners(lines: _Lines) -> tuple[list[str], list[_Keys], list[int]]:
     return libraries, owners, numbers
 
 
-def _parts(
-    owners: Sequence[_Keys], spans: NDArray[np.int64], name: str
-) -> tuple[list[_Keys], NDArray[np.int64]]:
-    """Return the names of the parts in file order, and the part of each face, from the index in
-    ``owners`` of each face's names."""
+def _parts(owners: Sequence[_Keys], spans: Indices, name: str) -> tuple[list[_Keys], Indices]:
+    """Return the parts' names in file order, and each face's part, from its index in ``owners``."""
     used, inverse = np.unique(spans, return_inverse=True)
     keys = [owners[i] for i in used]
     parts = [*dict.fromkeys(keys)]
@@ -229,9 +225,7 @@ def _names(parts: Sequence[_Keys]) -> list[str]:
     return names
 
 
-def _faces(
-    lines: _Lines, totals: Sequence[int]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+def _faces(lines: _Lines, totals: Sequence[int]) -> tuple[Indices, Indices, int]:
     """Return the corners of the faces, (C, 3): indices of vertex, texture coordinate and normal, -1
     if missing; the faces, (F, 3): index of the line, index of the first corner, number of corners;
     and the number of dropped faces, which have fewer than three corners or an invalid reference.
@@ -274,7 +268,7 @@ def _faces(
     return corners, faces, int((~good).sum())
 
 
-def triangles_of(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def triangles_of(first: Indices, counts: Indices) -> Indices:
     """Return the corners (T, 3) of the triangles of polygons, as fans around the first corner. A
     polygon is given by the index of its first corner and its number of corners, (F,)."""
     steps = counts - 2
@@ -290,11 +284,8 @@ def triangles_of(first: NDArray[np.int64], counts: NDArray[np.int64]) -> NDArray
     return triangles
 
 
-def vertices_of(
-    corners: NDArray[np.int64], triangles: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different corners (N, 3) that triangles use, in the order of their vertices, and
-    the triangles as indices into them."""
+def vertices_of(corners: Indices, triangles: Indices) -> tuple[Indices, Indices]:
+    """Return the used corners (N, 3) in the order of their vertices, and triangles of these."""
     used = corners[triangles.reshape(-1)]
     keys = used[:, 0]
     for column in used[:, 1:].T:
@@ -534,7 +525,7 @@ class Library:
         ks = self._numbers(statements, "ks")
         return bool(ks) and not any(ks) and "map_ks" not in statements
 
-    def warn_of_tiles(self, name: str, uv: NDArray[np.float64]) -> None:
+    def warn_of_tiles(self, name: str, uv: Float) -> None:
         """Warn if a map is a UDIM tile, and the faces' uv, (F, 3, 2), are on several tiles."""
         maps = [text for key, text in self.materials.get(name, {}).items() if key in _MAPS]
         if not any(re.search(r"(?<!\d)1001(?!\d)", text) for text in maps):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from facerender import __version__, lobes
 from facerender.comparison import pictures, windows
+from facerender.comparison.windows import Float
 from facerender.drawing.context import Backend, create_context
 from facerender.drawing.prepare import resolved_parts, start_maps
 from facerender.drawing.reference import shade
@@ -76,8 +77,7 @@ def brdf_error(shading: Shading, m: float) -> float:
     in the domain of the lobe. Both maxima are over all directions."""
     # 24 polar angles of light and camera, and 48 azimuths of the light: the error is smooth.
     theta = np.radians(np.linspace(0.0, 89.0, 24))
-    phi = np.linspace(0.0, np.pi, 48)
-    l = _from_angles(theta[:, None, None], phi)
+    l = _from_angles(theta[:, None, None], np.linspace(0.0, np.pi, 48))
     v = _from_angles(theta[:, None], np.pi)
     n = np.array([0.0, 0.0, 1.0])
     exact = shading.replace(lobe="exact")
@@ -99,11 +99,9 @@ def image_errors(
     undrawn: Sequence[Shading] = (),
 ) -> tuple[Array, list[NDArray[np.float32]], list[dict[str, Any]]]:
     """Draw a scene with each shading, one sample per pixel, and compare the images with float64.
-
     Return the float64 reference, the OpenGL images and the errors. The reference uses
     `shadings[0]`, but with the exact lobe. The errors of `undrawn`, which OpenGL cannot draw, come
-    last; their images are float64, too.
-    """
+    last; their images are float64, too."""
     scene = replace(scene, background=None)
     exact = shadings[0].replace(lobe="exact")
     with Renderer(size, samples=1, backend=backend) as renderer:
@@ -111,13 +109,11 @@ def image_errors(
         reference = shade(gbuffer, scene, exact)
         images = [renderer.render(scene, shading).linear[..., :3] for shading in shadings]
     covered = gbuffer.coverage > 0.0
-    compared: list[NDArray[np.floating]] = [*images, *(shade(gbuffer, scene, x) for x in undrawn)]
+    compared: list[Float] = [*images, *(shade(gbuffer, scene, x) for x in undrawn)]
     return reference, images, [image_error(image, reference, covered) for image in compared]
 
 
-def image_error(
-    image: NDArray[np.floating], reference: Array, covered: NDArray[np.bool_]
-) -> dict[str, Any]:
+def image_error(image: Float, reference: Array, covered: windows.Mask) -> dict[str, Any]:
     """Compare a linear image (H, W, 3) with its reference over the covered pixels (H, W). The
     result is ``error.image`` of measure.json; "flip" is None without flip-evaluator."""
     relative = np.abs(image - reference)[covered] / np.maximum(reference[covered], 0.01)
@@ -137,9 +133,8 @@ def image_error(
     }
 
 
-def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
-    """Return the largest distance from a pixel of one image (H, W, 3) to the range of 3 x 3 pixels
-    in the other image."""
+def point_error(a: Float, b: Float) -> float:
+    """Return the largest distance of a pixel from the range of 3 x 3 pixels in the other image."""
     worst = 0.0
     for x, y in ((a, b), (b, a)):
         low, high = (windows.filtered(x, choose) for choose in (np.minimum, np.maximum))
@@ -147,9 +142,7 @@ def point_error(a: NDArray[np.floating], b: NDArray[np.floating]) -> float:
     return worst
 
 
-def block_error(
-    a: NDArray[np.floating], reference: NDArray[np.floating], coverage: NDArray[np.floating]
-) -> float:
+def block_error(a: Float, reference: Float, coverage: Float) -> float:
     """Return the largest error of the mean of a block of 16 x 16 pixels, relative to max(mean of
     the reference, 0.01).
 
@@ -228,10 +221,9 @@ def _model(
     undrawn = [variant for variant in inside if variant.unclamped]
     # The slope filter is off, since it may raise m above the lobe's domain. The m of other parts
     # than the skin may be outside.
-    shadings, others = (
-        [replace(variant.shading, slope_filter=False, outside="exact") for variant in variants]
-        for variants in (rendered, undrawn)
-    )
+    changes: Any = {"slope_filter": False, "outside": "exact"}
+    shadings = [replace(variant.shading, **changes) for variant in rendered]
+    others = [replace(variant.shading, **changes) for variant in undrawn]
     frames = cost.frames(scene, shadings, size, repeats, backend, step("frames"))
     frame_ms = dict(zip(rendered, frames, strict=True))
     reference, images, drawn_errors = image_errors(scene, shadings, size, backend, others)
@@ -285,8 +277,7 @@ def _inside(variant: Variant, m: float) -> bool:
 
 
 def _errors(variant: Variant, slopes: Sequence[float]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the largest errors of lobe and BRDF in percent, keyed by m as text; None if m is
-    outside the domain."""
+    """Return the errors of lobe and BRDF in percent, keyed by m; None outside the domain."""
     lobe: dict[str, float | None] = {}
     brdf: dict[str, float | None] = {}
     for m in slopes:

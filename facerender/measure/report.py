@@ -18,19 +18,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from facerender import page
 from facerender.glsl.library import lobe_macros
-from facerender.measure.measurement import (
-    MAGNIFIED,
-    MODELS,
-    MeasuredVariant,
-    Measurement,
-    Triptychs,
-    rows_of,
-    slope_of,
-)
-from facerender.page import document, figure
-from facerender.page import row as table_row
-from facerender.page import table as page_table
+from facerender.measure import measurement as measuring
+from facerender.measure.measurement import MODELS, MeasuredVariant, Measurement, rows_of, slope_of
 from facerender.pricing.cost import Interval, Variant, of_model
 from facerender.system.files import make_folder, write_bytes
 
@@ -122,10 +113,8 @@ def pareto(measurement: Measurement, model: str, cost: CostKind) -> list[Row]:
 def recommended(measurement: Measurement, model: str) -> list[tuple[tuple[float, ...], Row]]:
     """Return the recommended variants of a model, by the cost of the term, from the lowest limit:
     the limits in percent, and the row of the cheapest variant within each of these limits.
-
     Dominated variants and published forms are not recommended. A limit of ``LIMITS`` that no
-    variant meets is absent.
-    """
+    variant meets is absent."""
     rows = [row for row in pareto(measurement, model, TERM) if row.error is not None]
     best = [row for row in rows if not (row.dominated or row.variant.printed)]
     chosen = [next((row for row in best if (row.error or 0.0) <= limit), None) for limit in LIMITS]
@@ -201,11 +190,9 @@ def advice(measurement: Measurement, model: str) -> str:
 
 
 def frame_advice(measurement: Measurement, model: str) -> str:
-    """Return the time of a frame with the exact lobe, and the faster lobes; "" if not measured.
-
-    A lobe is faster if both the frame and the specular term are measurably cheaper: noise alone can
-    make a frame cheaper.
-    """
+    """Return the time of a frame with the exact lobe, and the faster lobes; "" if not measured. A
+    lobe is faster if both the frame and the specular term are measurably cheaper: noise alone can
+    make a frame cheaper."""
     rows = pareto(measurement, model, FRAME)
     best = next((row for row in rows if row.variant.lobe == "exact"), None)
     if best is None:
@@ -247,8 +234,7 @@ def recommendation_table(measurement: Measurement, model: str) -> Table:
             }
         )
     title = f"{MODELS[model]}, m = {slope_of(measurement)}: recommended variants"
-    note = f"The cheapest term with an error up to the limit. Error: {error}."
-    return _table(title, note, rows)
+    return _table(title, f"The cheapest term with an error up to the limit. Error: {error}.", rows)
 
 
 def cost_tables(measurement: Measurement, costs: Iterable[CostKind] = (TERM, FRAME)) -> list[Table]:
@@ -390,11 +376,9 @@ DOMINATED = (
 JSON, PAGE = "measure.json", "index.html"
 
 
-def write(measurement: Measurement, triptychs: Triptychs, directory: Path) -> list[Path]:
-    """Write measure.json, images and index.html atomically, and return their paths.
-
-    All images are encoded before the first file is written. A missing directory is created.
-    """
+def write(measurement: Measurement, triptychs: measuring.Triptychs, directory: Path) -> list[Path]:
+    """Write measure.json, images and index.html atomically, and return their paths. All images are
+    encoded before the first file is written. A missing directory is created."""
     from PIL import Image
 
     text = json.dumps(content(measurement), indent=1, allow_nan=False) + "\n"
@@ -403,12 +387,11 @@ def write(measurement: Measurement, triptychs: Triptychs, directory: Path) -> li
         file = io.BytesIO()
         Image.fromarray(pixels).save(file, "PNG", optimize=True)
         images[f"images-{model}-{lobe}.png"] = file.getvalue()
-        captions.append(
-            f"{MODELS[model]}, m = {slope_of(measurement)}: exact (left), {lobe} (middle), and"
-            f" {MAGNIFIED} times their difference (right)."
-        )
-    page = _page(measurement, map(figure, images.values(), captions))
-    return write_files(directory, {JSON: text.encode(), **images, PAGE: page.encode()})
+        difference = f"{measuring.MAGNIFIED} times their difference (right)"
+        contents = f"exact (left), {lobe} (middle), and {difference}"
+        captions.append(f"{MODELS[model]}, m = {slope_of(measurement)}: {contents}.")
+    html = _page(measurement, map(page.figure, images.values(), captions))
+    return write_files(directory, {JSON: text.encode(), **images, PAGE: html.encode()})
 
 
 def content(measurement: Measurement) -> dict[str, Any]:
@@ -423,8 +406,7 @@ def content(measurement: Measurement) -> dict[str, Any]:
 
 
 def write_files(directory: Path, files: Mapping[str, bytes]) -> list[Path]:
-    """Write files, keyed by file name, atomically to a directory, which is created if missing,
-    and return their paths."""
+    """Write files, keyed by name, atomically to a new or existing directory; return their paths."""
     make_folder(directory)
     for name, content in files.items():
         write_bytes(directory / name, content)
@@ -436,8 +418,7 @@ def _models(measurement: Measurement) -> list[str]:
 
 
 def table(measurement: Measurement) -> str:
-    """Return sentences, tables of the recommended variants and tables of cost as text for a
-    terminal."""
+    """Return the advice, and the tables of recommended variants and of costs, for a terminal."""
     models = _models(measurement)
     sentences = [text(measurement, model) for text in (advice, frame_advice) for model in models]
     tables = [*(recommendation_table(measurement, model) for model in models)]
@@ -477,9 +458,9 @@ def _page(measurement: Measurement, figures: Iterable[str]) -> str:
         ),
         f"<h2>Not measured</h2><ul>{missing}</ul>" * bool(missing),
         "<h2>Machine and settings</h2>",
-        page_table("facts", (), _conditions(measurement)),
+        page.table("facts", (), _conditions(measurement)),
     ]
-    return document(f"Cost and error at m = {slope}", "\n".join(body), STYLE)
+    return page.document(f"Cost and error at m = {slope}", "\n".join(body), STYLE)
 
 
 def _trades(measurement: Measurement, cost: CostKind) -> str:
@@ -487,8 +468,7 @@ def _trades(measurement: Measurement, cost: CostKind) -> str:
     axis = f"cost of the {cost.title}, {cost.unit}"
     figures = []
     for model in _models(measurement):
-        error = ERRORS[measure_of(measurement, model)]
-        svg = trade(pareto(measurement, model, cost), axis, error)
+        svg = trade(pareto(measurement, model, cost), axis, ERRORS[measure_of(measurement, model)])
         recommend = advice if cost is TERM else frame_advice
         if svg:
             sentence = escape(recommend(measurement, model), quote=False)
@@ -520,7 +500,7 @@ def _conditions(measurement: Measurement) -> list[str]:
         "version of NumPy": environment["numpy"],
         "date of the measurement": environment["date"],
     }
-    return [table_row(name, [escape(str(value))]) for name, value in conditions.items()]
+    return [page.row(name, [escape(str(value))]) for name, value in conditions.items()]
 
 
 def _html(table: Table, css_class: str) -> str:
@@ -528,11 +508,11 @@ def _html(table: Table, css_class: str) -> str:
     if not table.rows:
         return f"<p>{escape(table.title)}: {NOT_MEASURED}.</p>"
     rows = [
-        table_row(escape(name), map(escape, cells), "dominated" if name in table.dominated else "")
+        page.row(escape(name), map(escape, cells), "dominated" if name in table.dominated else "")
         for name, *cells in table.rows
     ]
     caption = f"<span>{escape(table.title)}</span><small>{escape(table.note)}</small>"
-    return page_table(css_class, map(escape, table.head), rows, caption)
+    return page.table(css_class, map(escape, table.head), rows, caption)
 
 
 STYLE = Path(__file__).with_name("chart.css")
@@ -545,6 +525,7 @@ _RADIUS = 4.0
 _DISTANCES = (8, 13, 19, 27, 38, 50)
 _DIRECTIONS = ((1, 0), (0, 1), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
+Point = tuple[float, float]
 Box = tuple[float, float, float, float]  # left, top, right, bottom
 
 
@@ -592,7 +573,7 @@ def trade(rows: Sequence[Row], cost: str, error: str) -> str:
         _text(2.0, 12.0, "start", error),
         *(f'<path class="front" d="M{x:.1f} {y:.1f}{"".join(steps)}"/>' for x, y in front[:1]),
         *(_point(row, *bar) for row, bar in zip(rows, bars, strict=True)),
-        *_names(rows, bars, _boxes(bars, front)),
+        *_names(rows, bars, front),
     ]
     label = escape(f"{error} over {cost}")
     head = f'<svg class="chart" viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img" aria-label="{label}">'
@@ -615,23 +596,18 @@ def _text(x: float, y: float, anchor: str, text: str, css_class: str = "") -> st
 def _point(row: Row, x: float, y: float, low: float, high: float) -> str:
     """Return the point of a row with its interval of cost; a tooltip has the row's name."""
     bar = f"M{low:.1f} {y - 3.0:.1f}v6m0-3H{high:.1f}m0-3v6"
-    return (
-        f'<g class="{row.css_class}"><title>{escape(row.variant.name)}</title>'
-        f'<path d="{bar}"/><circle cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS}"/></g>'
-    )
+    title = f"<title>{escape(row.variant.name)}</title>"
+    circle = f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{_RADIUS}"/>'
+    return f'<g class="{row.css_class}">{title}<path d="{bar}"/>{circle}</g>'
 
 
-def _boxes(bars: Sequence[Box], front: Sequence[tuple[float, float]]) -> list[Box]:
-    """Return the boxes of points, of intervals and of the line, which names do not overlap."""
+def _names(rows: Sequence[Row], bars: Sequence[Box], front: Sequence[Point]) -> list[str]:
+    """Return names with lines to their points; no name overlaps a point, an interval, or the line
+    through the points ``front``."""
     boxes = [(x - _RADIUS, y - _RADIUS, x + _RADIUS, y + _RADIUS) for x, y, *_ in bars]
     boxes += [(low - 2.0, y - 3.0, high + 2.0, y + 3.0) for _, y, low, high in bars]
     for (x, y), (next_x, next_y) in pairwise(front):
         boxes += [(x, y - 1.0, next_x, y + 1.0), (next_x - 1.0, y, next_x + 1.0, next_y)]
-    return boxes
-
-
-def _names(rows: Sequence[Row], bars: Sequence[Box], boxes: list[Box]) -> list[str]:
-    """Return names with lines to their points; no name overlaps one of ``boxes``."""
     lines: list[str] = []
     texts: list[str] = []
     names: list[Box] = []

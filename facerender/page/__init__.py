@@ -54,10 +54,8 @@ def image_source(content: bytes, file_format: str = "png") -> str:
 def figure(png: bytes, caption: str) -> str:
     """Return a figure as HTML: an image with a caption of plain text."""
     text = escape(caption)
-    return (
-        f'<figure><img src="{image_source(png)}" alt="{text}"><figcaption>{text}</figcaption>'
-        "</figure>"
-    )
+    image = f'<img src="{image_source(png)}" alt="{text}">'
+    return f"<figure>{image}<figcaption>{text}</figcaption></figure>"
 
 
 def table(css_class: str, head: Iterable[str], rows: Iterable[str], caption: str = "") -> str:

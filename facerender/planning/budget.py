@@ -27,9 +27,7 @@ ROUNDING: dict[Unit, float] = {"display": 0.05 / 255.0, "relative": 5e-4, "flip"
 # Factor and format of an error as text.
 _TEXTS = {"display": (255.0, "{}/255"), "relative": (100.0, "{} %"), "flip": (1.0, "FLIP {}")}
 
-_GIVEN = re.compile(
-    r"([-+.\deE]+|[-+]?(?:nan|inf))\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.IGNORECASE
-)
+_GIVEN = re.compile(r"([-+.\deE]+|[-+]?(?:nan|inf))\s*(?:/\s*([.\deE+]+)|(%)|(flip))?", re.I)
 
 
 @dataclass(frozen=True)
@@ -57,9 +55,8 @@ class Budget:
         except ArithmeticError:
             fraction = 0.0
         if not 0.0 < fraction <= 1.0:
-            raise InputError(
-                f"within {within}: give a fraction of the pixels such as 99.9% or 0.999"
-            )
+            remedy = "give a fraction of the pixels such as 99.9% or 0.999"
+            raise InputError(f"within {within}: {remedy}")
         EXPOSURES.check("exposure", exposure)
         remedy = "give a fraction of the display's range such as 1/255, 0.5%, or 0.02 flip"
         match = _GIVEN.fullmatch(str(given).strip())

@@ -54,6 +54,7 @@ SINGLE = ("two lobes", "slope")  # one decision: a single lobe needs another slo
 _SLOPES = {"slope", "normal map"}  # decisions that change slopes
 ENVIRONMENT_SAMPLES = (0, 8, 16, 32)
 TERM = ("model", "lobe", "Fresnel", "masking", "small slopes")
+Fits = Callable[[Shading], bool]  # returns whether a shading is within the budget
 
 
 @dataclass(frozen=True)
@@ -72,10 +73,7 @@ class Constants:
 
 
 def candidates(
-    scene: Scene,
-    full: Shading,
-    constants: Constants,
-    fits: Callable[[Shading], bool] = lambda _: True,
+    scene: Scene, full: Shading, constants: Constants, fits: Fits = lambda _: True
 ) -> Iterator[Shading]:
     """Yield every shading that may replace the full shading, and the full shading itself.
 
@@ -93,15 +91,11 @@ def candidates(
             yield replace(shading, specular_lights=lights)
 
 
-def _surfaces(
-    scene: Scene, full: Shading, constants: Constants, fits: Callable[[Shading], bool]
-) -> Iterator[Shading]:
+def _surfaces(scene: Scene, full: Shading, constants: Constants, fits: Fits) -> Iterator[Shading]:
     """Yield variants of the full shading; the specular terms keep all properties except m."""
     materials = scene.mesh.materials
-    normal_maps, specular_maps = (
-        any(getattr(material, name) is not None for material in materials)
-        for name in ("normal_map", "specular_map")
-    )
+    normal_maps = any(material.normal_map is not None for material in materials)
+    specular_maps = any(material.specular_map is not None for material in materials)
     means = [constants.m] if full.term.m is None else []
     single = constants.single if full.two_lobes else ()
     changes = [*((full.two_lobes, m) for m in means), *((False, m) for m in single)]
@@ -112,7 +106,6 @@ def _surfaces(
     fewer = [count for count in SCATTER_SAMPLES if scatters and count < full.scatter_samples]
     reflects = scene.environment is not None and full.environment
     most = full.environment_samples if reflects else 0
-    samples = [count for count in ENVIRONMENT_SAMPLES if count < most]
 
     replacements: dict[str, Iterable[Any]] = {
         "ks": [constants.ks] if full.ks is None and specular_maps else [],
@@ -121,7 +114,7 @@ def _surfaces(
         "normal_map": [False] if full.normal_map and normal_maps else [],
         "ambient": [False] if full.ambient and np.any(scene.ambient) else [],
         "diffuse": {"lambert"} - {full.diffuse},
-        "environment_samples": samples,
+        "environment_samples": [count for count in ENVIRONMENT_SAMPLES if count < most],
     }
     choices = {
         name: [getattr(full, name), *(v for v in values if fits(replace(full, **{name: v})))]
@@ -134,8 +127,7 @@ def _surfaces(
 
 def shadowed(scene: Scene, shading: Shading) -> list[int]:
     """Return the indices of the lights whose shadows the shading draws."""
-    lights = simplify(scene, shading).lights
-    return [index for index, light in enumerate(lights) if light.shadow]
+    return [index for index, light in enumerate(simplify(scene, shading).lights) if light.shadow]
 
 
 def _terms(scene: Scene, full: Shading) -> Iterator[Shading]:
@@ -225,11 +217,9 @@ def scattered_light(viewpoint: Viewpoint) -> Callable[[Shading], Float]:
     @lru_cache(_MAX_SCATTERED)
     def change(light: Shading) -> Float:
         render, scene = viewpoint.renderer.render, viewpoint.scene
-        scattered, local = (
-            render(scene, variant, "diffuse", samples=1).linear[..., :3].astype(np.float64)
-            for variant in (light, light.replace(scatter_samples=0))
-        )
-        return scattered - local
+        variants = light, light.replace(scatter_samples=0)
+        images = [render(scene, variant, "diffuse", samples=1).linear for variant in variants]
+        return np.subtract(*images, dtype=np.float64)[..., :3]
 
     def of_shading(shading: Shading) -> Float:
         names, m = ["scatter_samples", "shadow_lights", "normal_map", "ambient", "diffuse"], None
@@ -241,29 +231,23 @@ def scattered_light(viewpoint: Viewpoint) -> Callable[[Shading], Float]:
 
 
 class DrawnViews:
-    """Views that OpenGL draws.
-
-    With several samples per pixel, OpenGL also shades silhouettes that cover no pixel's centre. If
-    a single change exceeds the budget in these images, shadings with this change are not tried.
-    """
+    """Views that OpenGL draws. With several samples per pixel, OpenGL also shades silhouettes that
+    cover no pixel's centre. If a single change exceeds the budget in these images, shadings with
+    this change are not tried."""
 
     def __init__(self, viewpoints: Sequence[Viewpoint], full: Shading, budget: Budget) -> None:
         self.viewpoints, self.full, self.budget = viewpoints, full, budget
         self.triangles = sum(len(part.faces) for part in viewpoints[0].scene.mesh.parts)
         # Level of detail of the full frame, and of the frames that are tried.
         self.finest = self.detail = LevelOfDetail(viewpoints[0].renderer.samples, None)
-        self.exact = [
-            draw(viewpoint, full, self.finest).astype(np.float64) for viewpoint in viewpoints
-        ]
+        self.exact = [draw(view, full, self.finest).astype(np.float64) for view in viewpoints]
         self.tried: list[tuple[LevelOfDetail, float]] = []  # with the error of each
         self.failed: list[tuple[Sequence[str], dict[str, Any]]] = []
 
     def coarsen(self) -> None:
         """Choose the coarsest level of detail at which the full shading stays within the budget.
-
         Try in this order: cull the back faces of double-sided parts, take fewer samples, shade per
-        pixel, and halve the triangles repeatedly.
-        """
+        pixel, and halve the triangles repeatedly."""
         if any(material.double_sided for material in self.viewpoints[0].scene.mesh.materials):
             self._first([replace(self.detail, cull_back_faces=True)])
         samples = [count for count in (4, 1) if count < self.finest.samples]
@@ -312,11 +296,9 @@ class DrawnViews:
     def errors(
         self, shading: Shading, detail: LevelOfDetail | None = None
     ) -> Iterator[tuple[float, float]]:
-        """Yield two errors per image: the largest error with and without the spared pixels.
-
-        Pixels that the full frame does not cover count too, since FLIP compares neighbourhoods. The
-        default of ``detail`` is ``self.detail``.
-        """
+        """Yield two errors per image: the largest error with and without the spared pixels. Pixels
+        that the full frame does not cover count too, since FLIP compares neighbourhoods. The
+        default of ``detail`` is ``self.detail``."""
         for errors, exact in zip(self.maps(shading, detail), self.exact, strict=True):
             spared = self.budget.spared(int(np.count_nonzero(exact[..., 3])))
             yield float(errors.max()), highest_but(errors, spared)

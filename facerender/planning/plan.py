@@ -148,20 +148,17 @@ class Plan:
 
     def shader(self, target: Target | Language | None = None) -> str:
         """Return a GLSL file as text: it contains only the chosen terms, with folded constants.
-
         Comments in the file contain the plan and the function call for each light. ``target`` is as
-        in :func:`facerender.shader_source`.
-        """
+        in :func:`facerender.shader_source`."""
         resolved = resolve(self.scene, self.shading)
         smallest = min(low for low, _ in resolved.appearance.slopes)
         two_lobes = any(material.two_lobes for material in resolved.scene.mesh.materials)
         source = term_source(self.shading.term, smallest, target, two_lobes)
         version, _, body = source.partition("\n") if source.startswith("#") else ("", "", source)
         text = call(replace(self.shading.term, m=None), 1.0 if two_lobes else None)
-        lines = [
-            f"BRDF of light {light}: {text if self.shading.shines(light) else 'none'}"
-            for light in range(len(self.scene.lights))
-        ]
+        count = len(self.scene.lights)
+        calls = [text if self.shading.shines(light) else "none" for light in range(count)]
+        lines = [f"BRDF of light {light}: {brdf}" for light, brdf in enumerate(calls)]
         notes = [f"// {line}" for line in [*self.explain().splitlines(), *lines]]
         return "\n".join(filter(None, [version, *notes, body]))
 
@@ -204,11 +201,9 @@ class Plan:
         return {key: _finite(value) for key, value in values.items()}
 
     def save_error_map(self, path: str | os.PathLike[str]) -> None:
-        """Write a PNG with the error of each pixel of the image with the largest error.
-
-        Colours range from black (no error) over blue, red and yellow to white (error equal to the
-        budget). Larger errors are green.
-        """
+        """Write a PNG with the error of each pixel of the image with the largest error. Colours
+        range from black (no error) over blue, red and yellow to white (error equal to the budget).
+        Larger errors are green."""
         if os.path.splitext(path)[1].lower() != ".png":
             raise InputError(f"{path}: an error map is a PNG file: give a name that ends in .png")
         fractions = self.error_map / max(self.budget.limit, 1e-12)
@@ -227,10 +222,8 @@ class Plan:
         azimuth, within = elsewhere.camera.azimuth, ""
         if self.budget.within < 1.0:
             within = f"{fraction} within {text(elsewhere.within)}, up to "
-        return (
-            f"{within}{text(elsewhere.maximum)} as rendered at azimuth {azimuth:g}: plan with all "
-            "cameras and sizes, and each pose on its own"
-        )
+        remedy = "plan with all cameras and sizes, and each pose on its own"
+        return f"{within}{text(elsewhere.maximum)} as rendered at azimuth {azimuth:g}: {remedy}"
 
     def _error(self) -> str:
         error, text, fraction = self.error, self.budget.text, self.budget.fraction
@@ -313,14 +306,10 @@ def plan(
     full = replace(full, small_slope=None)
     with ExitStack() as stack:  # closes the new renderers, one per size with the same options
         base = renderer or stack.enter_context(Renderer())
-        options: dict[str, Any] = {
-            "samples": base.samples,
-            "backend": base.context.backend,
-            "anisotropy": base.anisotropy,
-            "float_albedo": base.albedo_kind == "linear-color",
-            "full_maps": base.full_maps,
-            "memory": base.memory,
-        }
+        names = ("samples", "anisotropy", "full_maps", "memory")
+        options: dict[str, Any] = {name: getattr(base, name) for name in names}
+        options["backend"] = base.context.backend
+        options["float_albedo"] = base.albedo_kind == "linear-color"
         renderers = [
             base if size == base.size else stack.enter_context(Renderer(size, **options))
             for size in (sizes or [base.size])
@@ -355,13 +344,10 @@ def _planned(
         raise InputError(f"the cameras see nothing of {scene.mesh.name}: give other cameras")
     constants = search.constants_of(scene, full, views)
     progress("prices", 0.0)
-    software = renderers[0].context.software
-    choice = Choice(scene, full, budget, constants, cost, software, views)
+    choice = Choice(scene, full, budget, constants, cost, renderers[0].context.software, views)
     samples, rendered = renderers[0].samples, None
     pairs = zip(scene.mesh.parts, scene.mesh.materials, strict=True)
-    layered = any(
-        material.refracts or drawn_alpha(part, material) == "blend" for part, material in pairs
-    )
+    layered = any(pair[1].refracts or drawn_alpha(*pair) == "blend" for pair in pairs)
     if samples > 1 or layered or cost == FRAME:
         rendered = DrawnViews(viewpoints, full, budget)
     framed = rendered if cost == FRAME else None  # set if the level of detail is chosen too
@@ -399,18 +385,15 @@ def _planned(
     if framed:
         plan_decisions = [*search.details(choice, framed), *plan_decisions]
         maps = [*framed.maps(shading)] if framed.detail != framed.finest else maps
+    # Changes that fit, but save nothing, would look like changes that the search has missed.
+    stated = [one for one in plan_decisions if one.changed or one.error > budget.limit]
     return Plan(
         scene=scene,
         shading=shading,
         full=full,
         error=error,
         cost=cost_of_plan,
-        # Changes that fit, but save nothing, would look like changes that the search has missed.
-        decisions=tuple(
-            decision
-            for decision in plan_decisions
-            if decision.changed or decision.error > budget.limit
-        ),
+        decisions=tuple(stated),
         budget=budget,
         cameras=cameras,
         sizes=tuple(dict.fromkeys(sizes)),

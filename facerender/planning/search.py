@@ -33,12 +33,10 @@ _ROUNDS, _SECONDS = 25, 5.0  # most rounds of the chosen and the full frame, and
 
 
 def measured_frames(choice: Choice, views: DrawnViews) -> Frames:
-    """Measure a few frames, and return frame time as a linear function of the fragment price.
-
-    With the full shading, a frame for each change of the level of detail is measured. The full and
-    the final level of detail are also measured with the cheapest shading: a line through the times
-    of the two shadings gives the time of every other shading.
-    """
+    """Measure a few frames, and return frame time as a linear function of the fragment price. With
+    the full shading, a frame for each change of the level of detail is measured. The full and the
+    final level of detail are also measured with the cheapest shading: a line through the times of
+    the two shadings gives the time of every other shading."""
     full, cheap = choice.full, choice.ordered[0]
     detail = views.finest
     steps = {"full": detail}
@@ -47,8 +45,7 @@ def measured_frames(choice: Choice, views: DrawnViews) -> Frames:
     asked = {(detail, full) for detail in steps.values()}
     asked |= {(detail, cheap) for detail in (views.finest, views.detail)}
     frames = sorted(asked, key=lambda frame: frame[1] is not full)
-    draws = [_frame(views, *frame) for frame in frames]
-    durations = seconds(draws, _REPEATS)
+    durations = seconds([_frame(views, *frame) for frame in frames], _REPEATS)
     medians = 1e3 * np.median(durations[:, 0]) * np.median(durations / durations[:, :1], axis=0)
     times = dict(zip(frames, medians.tolist(), strict=True))
     prices = choice.total(full), choice.total(cheap)
@@ -57,8 +54,7 @@ def measured_frames(choice: Choice, views: DrawnViews) -> Frames:
         detail_times = times[detail, full], times[detail, cheap]
         return Line.through((prices[0], detail_times[0]), (prices[1], detail_times[1]))
 
-    driver = views.viewpoints[0].renderer.context.renderer
-    source = f"drawn in turns on {driver}"
+    source = f"drawn in turns on {views.viewpoints[0].renderer.context.renderer}"
     step_times = {name: times[detail, full] for name, detail in steps.items()}
     return Frames(line(views.finest), line(views.detail), step_times, source)
 
@@ -123,23 +119,18 @@ class Cost:
         return self.relative, self.relative
 
     def __str__(self) -> str:
+        costs = f"{self.total:.4g} of {self.full_total:.4g} {self.unit}"
         if self.measured is None and self.saves:
-            return (
-                f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, "
-                f"ratio {self.relative:.2f}; {self.source}"
-            )
+            return f"{costs}, ratio {self.relative:.2f}; {self.source}"
         if self.measured is None:
             return "saves nothing: nothing cheaper is within the budget"
         interval = f"{self.measured.low:.2f} to {self.measured.high:.2f}"
         if not self.saves:
-            return (
-                f"saves nothing, so the plan is the full frame: the cheaper frame took {interval} "
-                "of its time. Repeat on an idle machine, or plan for fewer pixels: within 90%"
-            )
-        return (
-            f"{interval} of the full frame in 80 % of rounds, median {self.relative:.2f}: "
-            f"{self.total:.4g} of {self.full_total:.4g} {self.unit}, {self.source}"
-        )
+            cause = f"the cheaper frame took {interval} of its time"
+            remedy = "Repeat on an idle machine, or plan for fewer pixels: within 90%"
+            return f"saves nothing, so the plan is the full frame: {cause}. {remedy}"
+        ratio = f"{interval} of the full frame in 80 % of rounds, median {self.relative:.2f}"
+        return f"{ratio}: {costs}, {self.source}"
 
 
 def saves(measured: Interval) -> bool:
@@ -342,8 +333,7 @@ class ReferencePixels:
 
     def errors(self, shading: Shading) -> Float:
         """Return the error of each pixel, (H, W); 0 for pixels outside ``counted``."""
-        image = self.image(shading)
-        return np.where(self.counted, self.budget.errors(image, self.exact), 0.0)
+        return np.where(self.counted, self.budget.errors(self.image(shading), self.exact), 0.0)
 
     def error(self, shading: Shading) -> float:
         """Return the largest error of a pixel after leaving out the ``spared`` worst pixels."""
@@ -352,8 +342,7 @@ class ReferencePixels:
     def spread(self) -> ReferencePixels:
         """Return a region of a few random pixels and the pixels with the brightest highlights."""
         shine = np.where(self.counted, self.terms.specular.sum(axis=(0, -1)), -1.0)
-        inside = np.flatnonzero(self.counted)
-        chance = np.random.default_rng(0).permutation(inside)[:_SPREAD]
+        chance = np.random.default_rng(0).permutation(np.flatnonzero(self.counted))[:_SPREAD]
         return self._pixels(np.union1d(chance, self._highest(shine)))
 
     def around(self, errors: Float) -> ReferencePixels:
@@ -384,8 +373,7 @@ def _part_of(gbuffer: GBuffer, index: Any) -> GBuffer:
 
 
 def constants_of(scene: Scene, full: Shading, views: Sequence[ReferencePixels]) -> Constants:
-    """Return the constants; they are means over pixels, weighted by the specular radiance of each
-    pixel."""
+    """Return the constants: means over pixels, which the pixels' specular radiance weights."""
     single = resolve(scene, replace(full, two_lobes=False))
     bounds = {end for slopes in single.appearance.slopes for end in slopes}
     peaks, darkened = np.zeros((2, len(scene.lights)))
@@ -465,10 +453,17 @@ def decisions(
         full frame and of the plan
     bound : function that returns a lower bound of a shading's error
     """
-    changes = candidates.groups(shading, choice.full)
+    full = choice.full
+    changes = candidates.groups(shading, full)
     for name in candidates.DECISIONS:
-        if name in changes:
-            yield _changed(choice, shading, name, changes[name], error)
+        if names := changes.get(name):
+            chosen, other = (_words(choice.scene, variant, names) for variant in (shading, full))
+            added = error(candidates.alone(shading, full, names))
+            saved = choice.saved(shading, candidates.with_decisions(shading, full, names))
+            instead = f" instead of {other}" if other != "none" else ""
+            text = f"{chosen}{instead}: error {choice.budget.text(added)} on its own, "
+            text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
+            yield Decision(name, True, chosen, other, added, saved, text, values(shading, names))
         elif any(name in names for names in changes.values()):
             continue  # part of another decision
         elif (unchanged := _unchanged(choice, shading, name, otherwise, bound)) is not None:
@@ -505,18 +500,6 @@ def _detail(name: str, value: int | str | None, views: DrawnViews) -> str:
     if name == "cull_back_faces":
         return "culled" if value else "drawn"
     return str(value or views.triangles)
-
-
-def _changed(
-    choice: Choice, shading: Shading, name: str, names: Sequence[str], error: ErrorOf
-) -> Decision:
-    chosen, other = (_words(choice.scene, variant, names) for variant in (shading, choice.full))
-    added = error(candidates.alone(shading, choice.full, names))
-    saved = choice.saved(shading, candidates.with_decisions(shading, choice.full, names))
-    instead = f" instead of {other}" if other != "none" else ""
-    text = f"{chosen}{instead}: error {choice.budget.text(added)} on its own, "
-    text += f"{'saves' if saved >= 0.0 else 'costs'} {_fraction(choice, name, abs(saved))}"
-    return Decision(name, True, chosen, other, added, saved, text, values(shading, names))
 
 
 def _unchanged(

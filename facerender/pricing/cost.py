@@ -30,22 +30,28 @@ from facerender.scene.shading import SMALL_SLOPE, Shading
 from facerender.terms.lobe import LOBES
 from facerender.terms.model import MODELS
 
+Float = NDArray[np.float64]
+Glsl = tuple[str, str]  # prelude and float expression
+Draw = Callable[[], object]
+Run = Callable[[int], float]  # draws a number of times and returns the seconds
+Report = Callable[[float], object]  # receives the completed fraction
+
+
+def silent(done: float) -> None:
+    """Report no progress."""
+
 
 @dataclass(frozen=True)
 class Interval:
-    """An estimate and its 95 % interval, by bootstrap over the repeats of a measurement.
-
-    The interval of :func:`facerender.pricing.cost.relative` contains 80 % of the repeats instead.
-    """
+    """An estimate and its 95 % interval, by bootstrap over the repeats of a measurement. The
+    interval of :func:`facerender.pricing.cost.relative` contains 80 % of the repeats instead."""
 
     value: float
     low: float
     high: float
 
 
-def bootstrap(
-    estimate: Callable[[NDArray[np.int64]], NDArray[np.float64]], repeats: int
-) -> list[Interval]:
+def bootstrap(estimate: Callable[[NDArray[np.int64]], Float], repeats: int) -> list[Interval]:
     """Return estimates (N,) with 95 % intervals; ``estimate`` takes indices of repeats."""
     # The seed is constant: equal times have equal intervals, in tests and in documents.
     draws = np.random.default_rng(0).integers(repeats, size=(500, repeats))
@@ -54,21 +60,14 @@ def bootstrap(
     return [Interval(*map(float, row)) for row in zip(value, low, high, strict=True)]
 
 
-Draw = Callable[[], object]
-
 _FEWEST = 11  # smallest number of rounds before a time limit ends a measurement
 
 
 def seconds(
-    draws: Sequence[Draw],
-    repeats: int,
-    progress: Callable[[float], object] = lambda done: None,
-    limit: float = math.inf,
-) -> NDArray[np.float64]:
-    """Return the duration of each draw, (rounds, draws) in seconds. The draws alternate.
-
-    limit : seconds after which no further round begins, once there are _FEWEST rounds
-    """
+    draws: Sequence[Draw], repeats: int, progress: Report = silent, limit: float = math.inf
+) -> Float:
+    """Return the duration of each draw, (rounds, draws) in seconds. The draws alternate. After
+    ``limit`` seconds no further round begins, once there are _FEWEST rounds."""
     for draw in draws:  # compiles and uploads
         draw()
     times = np.empty((repeats, len(draws)))
@@ -140,7 +139,7 @@ _PRINTED_EXACT = {
 }
 
 
-def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> NDArray[np.float64]:
+def printed_lobe(c: ArrayLike, m: ArrayLike, k: int, g: int) -> Float:
     """Return D4, D8 or D16 (g = 4, 8, 16) as published by Romanyuk et al. (2020), in float64:
     ((n/g)(c - 1) + 1)^g with n = 2/m² - k, without a clamp. The peak is 1."""
     n = 2.0 / np.asarray(m, np.float64) ** 2 - k
@@ -187,7 +186,7 @@ class Variant:
         return Shading(self.model, PRINTED_D16 if self.unclamped else self.lobe)
 
     @property
-    def term(self) -> tuple[str, str]:
+    def term(self) -> Glsl:
         """GLSL prelude and expression of the whole term, in 1/sr."""
         model = MODELS[self.model]
         call = model.printed if self.printed else model.printed.replace("printed_", "")
@@ -196,7 +195,7 @@ class Variant:
         return f'{macros}#include "{folder}/{model.file}.glsl"', call
 
     @property
-    def lobe_term(self) -> tuple[str, str]:
+    def lobe_term(self) -> Glsl:
         """GLSL prelude and expression of the lobe as a function of float c and m; no unit."""
         if self.unclamped:
             power = f"fr_printed_g_power(c, 2.0 / (m * m) - {self.k}.0, 16)"
@@ -214,12 +213,12 @@ def of_model(model: str) -> tuple[Variant, ...]:
     return *printed, *dict.fromkeys(library)
 
 
-def terms(model: str) -> dict[str, tuple[str, str]]:
+def terms(model: str) -> dict[str, Glsl]:
     """Return GLSL prelude and expression of each whole term, keyed by the variant's name."""
     return {variant.name: variant.term for variant in of_model(model)}
 
 
-def lobe_terms(model: str) -> dict[str, tuple[str, str]]:
+def lobe_terms(model: str) -> dict[str, Glsl]:
     """Return GLSL prelude and expression of each lobe, keyed by the variant's name."""
     return {variant.name: variant.lobe_term for variant in of_model(model) if not variant.plain}
 
@@ -265,11 +264,11 @@ OF_COSINE = "c + m"
 
 
 def by_slope(
-    terms: Mapping[str, tuple[str, str]],
+    terms: Mapping[str, Glsl],
     empty: str = OF_VECTORS,
     repeats: int = 15,
     backend: Backend = "auto",
-    progress: Callable[[float], object] = lambda done: None,
+    progress: Report = silent,
 ) -> dict[str, Interval]:
     """Measure the nanoseconds per evaluation of each term, minus those per turn of an empty loop.
 
@@ -288,7 +287,7 @@ def by_slope(
             corners = gl.buffer(np.array([-1, -1, 3, -1, -1, 3], dtype=np.float32))
             target.use()
 
-            def run(prelude: str, expression: str) -> Callable[[int], float]:
+            def run(prelude: str, expression: str) -> Run:
                 program = gl.program(_VERTEX, resolve_includes(_FRAGMENT % (prelude, expression)))
                 kernel = gl.vertex_array(program, [(corners, "2f", "corner")])
 
@@ -303,23 +302,17 @@ def by_slope(
 
             runs = [run(*term) for term in (("", empty), *terms.values())]
             net = np.column_stack([np.full(len(terms), -1.0), np.eye(len(terms))])
-            weights = 1e9 / (SIZE[0] * SIZE[1]) * net
-            intervals = slopes(runs, 8, weights, repeats, progress)
+            intervals = slopes(runs, 8, 1e9 / (SIZE[0] * SIZE[1]) * net, repeats, progress)
     finally:
         context.release()
     return dict(zip(terms, intervals, strict=True))
 
 
 def slopes(
-    runs: Sequence[Callable[[int], float]],
-    first: int,
-    weights: NDArray[np.float64],
-    repeats: int,
-    progress: Callable[[float], object] = lambda done: None,
+    runs: Sequence[Run], first: int, weights: Float, repeats: int, progress: Report = silent
 ) -> list[Interval]:
     """Measure the seconds per count of alternating runs, and return weighted sums over the runs.
 
-    runs : functions that draw a given number of times and return the seconds
     first : the smallest count; it is doubled while the times are too short for the clock
     weights : weight of each run in each sum, (N, runs)
     """
@@ -345,7 +338,7 @@ def frames(
     size: tuple[int, int],
     repeats: int = 9,
     backend: Backend = "auto",
-    progress: Callable[[float], object] = lambda done: None,
+    progress: Report = silent,
 ) -> list[Interval]:
     """Measure milliseconds per frame with readback, one sample per pixel, in turns."""
     with Renderer(size, samples=1, backend=backend) as renderer:

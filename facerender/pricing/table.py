@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import moderngl
 import numpy as np
@@ -31,7 +31,7 @@ from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Area, Part
 from facerender.pricing import cost
-from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, clock, slopes
+from facerender.pricing.cost import INPUTS, SIZE, SLOPE, Interval, Run, clock, slopes
 from facerender.scene.environment import Environment, studio
 from facerender.scene.light import LIGHT_KINDS
 from facerender.scene.scene import Scene
@@ -64,9 +64,7 @@ def scene_with(
     **lights: int,
 ) -> Scene:
     """Return a scene with one triangle that fills the image, and maps of 1024 x 1024 texels.
-
-    lights : number of lights, keyed by type; default: one directional light
-    """
+    ``lights`` are the numbers of lights, keyed by type; default: one directional light."""
     textures: dict[str, Any] = {name: _texture(name) for name in maps}
     material = Material((1.0, 1.0, 1.0), 0.4, ks=0.3, kd=0.7, **textures)
     corners = np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
@@ -173,12 +171,11 @@ def samples(shading: Shading | None = None) -> list[tuple[Scene, Program]]:
         scene_with((*albedo, *PROPERTY_MAPS), ambient=True),
     ]
     around = scene_with(environment=True)
-    stub = "" if shading else INPUTS
     return [
         *((scene, program_of(scene)) for scene in dull),
         *((scene, program_of(scene, coupled=True)) for scene in dull[:2]),
         *((around, program_of(around, environment_samples=count)) for count in (0, FEW)),
-        *((scene, program_of(scene, shading, stub)) for scene in specular),
+        *((scene, program_of(scene, shading, "" if shading else INPUTS)) for scene in specular),
     ]
 
 
@@ -187,17 +184,10 @@ PARTS = tuple(parts_of(program_of(scene_with())))
 TO_PARTS = np.linalg.inv([list(parts_of(program).values()) for _, program in samples()])
 
 
-def estimate(program: Program, parts: Mapping[str, float]) -> float:
-    """Return a program's cost from the costs of the parts, see :func:`samples`."""
-    return sum(count * parts[name] for name, count in parts_of(program).items())
-
-
 def by_slope(repeats: int = 15) -> dict[str, Interval]:
-    """Measure the nanoseconds per fragment of each part on this machine.
-
-    Every program fills the target n times, for three values of n, as in ``cost.by_slope``. The cost
-    of blending and of the rasteriser is measured with an empty program and subtracted.
-    """
+    """Measure the nanoseconds per fragment of each part on this machine. Every program fills the
+    target n times, for three values of n, as in ``cost.by_slope``. The cost of blending and of the
+    rasteriser is measured with an empty program and subtracted."""
     net = np.column_stack([TO_PARTS, -TO_PARTS.sum(axis=1)])
     context = create_context()
     try:
@@ -219,7 +209,7 @@ def by_slope(repeats: int = 15) -> dict[str, Interval]:
 
 def _timed(
     context: Context, resources: Resources, scene: Scene, source: Program, program: CompiledProgram
-) -> Callable[[int], float]:
+) -> Run:
     """Return a function that draws a scene of one mesh part N times and returns the seconds; the
     scene needs the program ``source``, and ``program`` is timed."""
     look, mesh = Appearance.of(scene, Shading(), "color"), scene.mesh
@@ -262,7 +252,6 @@ HERE = "here"
 
 Pair = tuple[float, float]
 Terms = Mapping[str, Pair]
-P = TypeVar("P")
 
 
 class NoPrice(InputError):
@@ -294,11 +283,8 @@ class Prices:
             counts = parts_of(replace(program, call=INPUTS * bool(lights)))
             if material.scattering and material.diffuse_weight > 0.0:
                 counts |= {"scattering": 1, "sample of scattering": shading.scatter_samples}
-            costs = {
-                name: times * self._priced(self.parts, name)
-                for name, times in counts.items()
-                if times and name not in _SPECULAR
-            }
+            others = without_specular(counts).items()
+            costs = {name: n * self._priced(self.parts, name) for name, n in others if n}
             names = [term_name(shading.term, smallest)]
             names += [second_name(shading.term, smallest)] * material.two_lobes
             pairs = [self._priced(self.terms, name) for name in names * bool(lights)]
@@ -308,12 +294,11 @@ class Prices:
             specular += count * (shine + costs.get("environment sample", 0.0))
         return total / faces, specular / faces
 
-    def _priced(self, prices: Mapping[str, P], name: str) -> P:
+    def _priced(self, prices: Mapping[str, Any], name: str) -> Any:
         if name not in prices:
-            raise NoPrice(
-                f"{name} has no price in {self.source}: measure it with --cost here, or update the "
-                "table in a checkout with python -m benchmarks.prices table"
-            )
+            update = "update the table in a checkout with python -m benchmarks.prices table"
+            problem = f"{name} has no price in {self.source}"
+            raise NoPrice(f"{problem}: measure it with --cost here, or {update}")
         return prices[name]
 
 
@@ -382,8 +367,7 @@ def variants(term: Term) -> dict[str, Term]:
 
 
 def second_variants(term: Term) -> dict[str, Term]:
-    """Return terms whose second lobes cost the same as the second lobes of a term's variants,
-    keyed by :func:`second_name`."""
+    """Return terms with the second lobes of a term's variants, keyed by :func:`second_name`."""
     return {second_name(other, SLOPE): _unfactored(other) for other in variants(term).values()}
 
 
@@ -413,10 +397,9 @@ def measured(
         name: (_LOBES + prelude(term, SLOPE, two_lobes=True), call(term, 1.5))
         for name, term in (seconds or {}).items()
     }
-    times = cost.by_slope(calls, repeats=repeats)
     prices = {
         name: (parts[_SPECULAR[0]] + time.value, parts[_SPECULAR[1]] + time.value)
-        for name, time in times.items()
+        for name, time in cost.by_slope(calls, repeats=repeats).items()
     }
     prices |= second_lobes(prices, prices, seconds or {})
     context = create_context()

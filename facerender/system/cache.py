@@ -62,7 +62,7 @@ def read(group: str, name: str) -> memoryview | None:
 
 def write(group: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
     """Write a cache entry that consists of consecutive pieces, and remove the least recently used
-    entries beyond the limit. An entry that alone exceeds the limit is not written."""
+    entries beyond the limit and abandoned files. An entry larger than the limit is not written."""
     if _START + sum(memoryview(piece).nbytes for piece in pieces) > limit():
         return
     checksum = 0
@@ -81,7 +81,13 @@ def write(group: str, name: str, pieces: Sequence[bytes | memoryview]) -> None:
         write_whole(path, write_pieces)
     except (OSError, InputError):
         return
-    _evict(path)
+    total = 0
+    for used, count, entry in sorted(_entries(), reverse=True):
+        total += count
+        abandoned = entry.name.startswith(".") and used < time.time() - ABANDONED
+        if (total > limit() or abandoned) and entry != path:
+            with suppress(OSError):
+                entry.unlink()
 
 
 def _entries() -> list[tuple[float, int, Path]]:
@@ -92,14 +98,3 @@ def _entries() -> list[tuple[float, int, Path]]:
             status = path.stat()
             entries.append((status.st_mtime, status.st_size, path))
     return entries
-
-
-def _evict(newest: Path) -> None:
-    """Remove the least recently used entries beyond the limit, and abandoned files; keep newest."""
-    total = 0
-    for used, count, path in sorted(_entries(), reverse=True):
-        total += count
-        abandoned = path.name.startswith(".") and used < time.time() - ABANDONED
-        if (total > limit() or abandoned) and path != newest:
-            with suppress(OSError):
-                path.unlink()

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 from facerender.errors import InputError, clipped, reason
 from facerender.system.signals import if_ended
 
+AnyPath = str | os.PathLike[str]
 ABANDONED = 3600.0  # age in seconds at which a temporary file counts as abandoned
 TEMPORARY = ".facerender-"  # prefix of temporary files
 _REMEDIES = {
@@ -27,7 +28,7 @@ _REMEDIES = {
 }
 
 
-def check_writable(path: str | os.PathLike[str]) -> Path:
+def check_writable(path: AnyPath) -> Path:
     """Return ``path`` as a Path. Raise InputError unless a regular file can be written there."""
     target, mode = Path(path), stat.S_IFREG
     try:
@@ -37,16 +38,15 @@ def check_writable(path: str | os.PathLike[str]) -> Path:
         if not os.access(target.parent, os.W_OK | os.X_OK):
             raise PermissionError(EACCES, os.strerror(EACCES))
     except OSError as error:
-        raise InputError(
-            f"cannot write {target}: {reason(error)}; give a file in a writable folder"
-        ) from None
+        remedy = "give a file in a writable folder"
+        raise InputError(f"cannot write {target}: {reason(error)}; {remedy}") from None
     if not stat.S_ISREG(mode):
         fault = _FILE_TYPES[stat.S_IFDIR] if stat.S_ISDIR(mode) else "not a regular file"
         raise InputError(f"cannot write {target}: it is {fault}; give a file name")
     return target
 
 
-def make_folder(path: str | os.PathLike[str]) -> Path:
+def make_folder(path: AnyPath) -> Path:
     """Create a folder for results, with its parents, and return its path."""
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
@@ -77,9 +77,8 @@ def reported(action: str, path: object, then: str = "or give another path") -> I
         raise CannotUse(f"cannot {action} {path}: {why}; {remedy}, {then}") from None
 
 
-def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) -> None:
-    """Call ``write`` with a temporary path in the folder of ``path``, then rename the temporary
-    file to ``path``."""
+def write_whole(path: AnyPath, write: Callable[[str], object]) -> None:
+    """Call ``write`` with a temporary path in the same folder, then rename the file to ``path``."""
     target = check_writable(path)
     temporary = target.with_name(f"{TEMPORARY}{os.urandom(8).hex()}")
 
@@ -92,7 +91,7 @@ def write_whole(path: str | os.PathLike[str], write: Callable[[str], object]) ->
         os.replace(temporary, target)
 
 
-def remove_abandoned(folder: str | os.PathLike[str]) -> None:
+def remove_abandoned(folder: AnyPath) -> None:
     """Remove the temporary files of :func:`write_whole` that killed processes left in a folder."""
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
@@ -102,12 +101,12 @@ def remove_abandoned(folder: str | os.PathLike[str]) -> None:
                         os.unlink(entry)
 
 
-def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+def write_bytes(path: AnyPath, content: bytes) -> None:
     """Write a file completely or not at all; see :func:`write_whole`."""
     write_whole(path, lambda name: Path(name).write_bytes(content))
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: AnyPath, text: str) -> None:
     """Write text as UTF-8. Invalid bytes, which file names may contain, are escaped."""
     write_bytes(path, text.encode(errors="backslashreplace"))
 
@@ -115,9 +114,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 MAX_FILE_BYTES = 1 << 30  # default size limit of a file in bytes
 # Matches a dotted TOML key with more parts than any key of a valid table. It is refused because the
 # parser's time and memory grow quadratically with the number of parts.
-_DEEP_KEY = re.compile(
-    r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}"""
-)
+_DEEP = re.compile(r"""(?<![\w"'.-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
 # First bytes, in lower case, of a placeholder instead of the content, or of a PNG image whose line
 # ends or encoding were converted: bytes, description, remedy.
 _NOT_DOWNLOADED = (
@@ -137,7 +134,7 @@ _FILE_TYPES = {
 }
 
 
-def check_file(path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES) -> None:
+def check_file(path: AnyPath, what: str, most: int = MAX_FILE_BYTES) -> None:
     """Raise InputError unless a path is the name of a regular file. Other files are refused: a pipe
     may block, and a device may never end.
 
@@ -159,11 +156,7 @@ def check_file(path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYT
 
 
 def suffix_of(
-    path: str | os.PathLike[str],
-    known: Sequence[str],
-    noun: str,
-    what: str,
-    most: int = MAX_FILE_BYTES,
+    path: AnyPath, known: Sequence[str], noun: str, what: str, most: int = MAX_FILE_BYTES
 ) -> str:
     """Return the suffix of a file, in lower case, as :func:`check_suffix` does. For ``what``,
     ``most`` and further errors see :func:`check_file`."""
@@ -173,7 +166,7 @@ def suffix_of(
     return check_suffix(path, known, noun)
 
 
-def check_suffix(path: str | os.PathLike[str], known: Sequence[str], noun: str) -> str:
+def check_suffix(path: AnyPath, known: Sequence[str], noun: str) -> str:
     """Return the suffix of a path, which need not exist, in lower case. Raise InputError if it is
     unknown; ``noun`` names the file in messages, such as "image"."""
     name, suffix = clipped(os.fsdecode(path)), Path(path).suffix.lower()
@@ -186,9 +179,7 @@ def check_suffix(path: str | os.PathLike[str], known: Sequence[str], noun: str) 
 
 
 @contextmanager
-def open_file(
-    path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES
-) -> Iterator[BinaryIO]:
+def open_file(path: AnyPath, what: str, most: int = MAX_FILE_BYTES) -> Iterator[BinaryIO]:
     """Open a regular file. Raise InputError as :func:`check_file`, or if reading fails."""
     check_file(path, what, most)
     try:
@@ -201,7 +192,7 @@ def open_file(
         raise InputError(f"cannot read {name}: {reason(error)}; give {what}") from None
 
 
-def read_file(path: str | os.PathLike[str], what: str, most: int = MAX_FILE_BYTES) -> bytes:
+def read_file(path: AnyPath, what: str, most: int = MAX_FILE_BYTES) -> bytes:
     """Return the content of a regular file; parameters and errors as in :func:`open_file`."""
     with open_file(path, what, most) as file:
         return file.read(os.fstat(file.fileno()).st_size)
@@ -218,10 +209,8 @@ def digest_of(*pieces: str | bytes | memoryview) -> str:
 
 
 def check_downloaded(content: bytes, subject: str) -> None:
-    """Raise InputError for a Git LFS pointer, an HTML page, or a PNG image converted as text.
-
-    subject : start of the message, such as "a.png is" or "head.glb is not glTF but"
-    """
+    """Raise InputError for a Git LFS pointer, an HTML page, or a PNG image converted as text. The
+    message starts with ``subject``, such as "a.png is" or "head.glb is not glTF but"."""
     start = content[:64].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
     for beginning, content_type, remedy in _NOT_DOWNLOADED:
         if start.startswith(beginning):
@@ -234,7 +223,7 @@ def tables_of(content: bytes, name: str) -> dict[str, Any]:
 
     try:
         text = content.decode("utf-8-sig")
-        if _DEEP_KEY.search(text):
+        if _DEEP.search(text):
             raise RecursionError
         return tomllib.loads(text)
     except RecursionError:

@@ -56,18 +56,6 @@ def if_ended(action: Callable[[], str | None], always: bool = False) -> Iterator
         _actions.remove(action)
 
 
-@contextmanager
-def temporary_folder() -> Iterator[str]:
-    """Create a private temporary folder, and remove it at the end of the context."""
-    import shutil
-    import tempfile
-
-    folder = os.path.join(tempfile.gettempdir(), f"facerender-{os.urandom(8).hex()}")
-    with if_ended(lambda: shutil.rmtree(folder, ignore_errors=True), always=True):
-        os.mkdir(folder, 0o700)
-        yield folder
-
-
 def _end(number: int, frame: FrameType | None) -> None:
     reports = _undo()
     if number in _WORDS:

@@ -20,6 +20,7 @@ from facerender.terms.lobe import check_slope
 from facerender.terms.model import MIN_COSINE, checked_unit, cook_torrance, dot, ward
 
 Float = NDArray[np.float64]
+Axes = tuple[Float, Float]
 
 _checked_slope = partial(check_slope, name="exact", k=4)  # all models have this domain
 
@@ -30,28 +31,24 @@ LOWEST = 0.02  # Lowest square root of the cosine; smaller values are clamped.
 # to the fit, so that it is nowhere below the integral of BRDF (N.L).
 FITS = np.array(
     [
-        [
-            (0.863348, 0.0781893, -0.12987, -0.0220138, 0.0837679),
-            (0.0726275, -0.135827, 0.369948, -0.308854, -0.0602395),
-            (-0.313448, -0.321842, 0.878571, 0.427615, -1.03386),
-            (0.189434, -0.568655, -1.02757, 0.877151, 0.367696),
-            (0.290153, 0.2594, -1.82168, -0.57507, 1.86765),
-            (-0.22919, 0.62927, 1.10468, -0.822087, -0.544213),
-            (-0.078561, -0.114966, 0.914632, 0.308167, -0.932605),
-            (0.0763889, -0.212311, -0.517819, 0.236421, 0.336868),
-        ],
-        [
-            (0.0798003, -0.0509785, 0.0701351, -0.0488855, -0.00373464),
-            (-0.2461, 0.0662001, 0.143383, 0.229181, -0.36135),
-            (0.298349, -0.15041, -0.518808, 0.134066, 0.467996),
-            (0.126182, 0.361314, -1.55276, -0.77729, 1.9972),
-            (-0.369746, 0.207035, 1.60055, -0.415289, -1.32783),
-            (-0.147346, -0.64708, 2.69811, 1.22936, -3.37024),
-            (0.178681, -0.113359, -1.13989, 0.283205, 0.944013),
-            (0.0918043, 0.327341, -1.34385, -0.634385, 1.69686),
-        ],
+        (0.863348, 0.0781893, -0.12987, -0.0220138, 0.0837679),
+        (0.0726275, -0.135827, 0.369948, -0.308854, -0.0602395),
+        (-0.313448, -0.321842, 0.878571, 0.427615, -1.03386),
+        (0.189434, -0.568655, -1.02757, 0.877151, 0.367696),
+        (0.290153, 0.2594, -1.82168, -0.57507, 1.86765),
+        (-0.22919, 0.62927, 1.10468, -0.822087, -0.544213),
+        (-0.078561, -0.114966, 0.914632, 0.308167, -0.932605),
+        (0.0763889, -0.212311, -0.517819, 0.236421, 0.336868),
+        (0.0798003, -0.0509785, 0.0701351, -0.0488855, -0.00373464),
+        (-0.2461, 0.0662001, 0.143383, 0.229181, -0.36135),
+        (0.298349, -0.15041, -0.518808, 0.134066, 0.467996),
+        (0.126182, 0.361314, -1.55276, -0.77729, 1.9972),
+        (-0.369746, 0.207035, 1.60055, -0.415289, -1.32783),
+        (-0.147346, -0.64708, 2.69811, 1.22936, -3.37024),
+        (0.178681, -0.113359, -1.13989, 0.283205, 0.944013),
+        (0.0918043, 0.327341, -1.34385, -0.634385, 1.69686),
     ]
-)
+).reshape(2, 8, 5)
 # Cosine-weighted mean of s^i over the hemisphere: the integral of 4 x^3 (2 x - 1)^i from 0 to 1.
 MEANS = np.array([1, 3 / 5, 7 / 15, 13 / 35, 11 / 35, 17 / 63, 5 / 21, 7 / 33])
 
@@ -77,8 +74,7 @@ def cook_torrance_albedo(n_dot_v: ArrayLike, m: ArrayLike, f0: ArrayLike) -> Flo
 
 
 def cook_torrance_albedo_mean(m: ArrayLike, f0: ArrayLike) -> Float:
-    """Return the cosine-weighted mean of :func:`cook_torrance_albedo` over the hemisphere; for
-    m and f0 see that function."""
+    """Return the cosine-weighted mean of :func:`cook_torrance_albedo` over the hemisphere."""
     return np.asarray(_coefficients(m, f0) @ MEANS)
 
 
@@ -210,8 +206,7 @@ def ward_pdf(n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike) -> Float:
 def _half(
     n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike
 ) -> tuple[Float, Float, Float, Float, Float]:
-    """Return N.V, N.h, h.h, tan² γ and m for h = l + v, not normalised; tan² γ is 0 if N.h is
-    at most 1e-6."""
+    """Return N.V, N.h, h.h, tan² γ (0 if N.h is at most 1e-6) and m for h = l + v."""
     normal, light, eye = checked_unit("n", n), checked_unit("l", l), checked_unit("v", v)
     h = light + eye
     n_dot_v, n_dot_h = dot(normal, eye), dot(normal, light) + dot(normal, eye)
@@ -367,12 +362,9 @@ def reflected(
     return total
 
 
-def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
-    """Return two tangent axes of normals (..., 3).
-
-    The first axis points along the tangential part of the camera direction. It is arbitrary
-    where the camera looks along the normal.
-    """
+def environment_axes(n: Float, v: Float) -> Axes:
+    """Return two tangent axes of normals (..., 3). The first axis points along the tangential part
+    of the camera direction. It is arbitrary where the camera looks along the normal."""
     aside = v - dot(n, v)[..., None] * n
     length = np.sqrt(dot(aside, aside))[..., None]
     side = np.where(np.abs(n[..., :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
@@ -383,14 +375,7 @@ def environment_axes(n: Float, v: Float) -> tuple[Float, Float]:
 
 
 def environment_sample(
-    n: Float,
-    v: Float,
-    m: Float,
-    axes: tuple[Float, Float],
-    towards: Float,
-    i: int,
-    *,
-    samples: int = SAMPLES,
+    n: Float, v: Float, m: Float, axes: Axes, towards: Float, i: int, *, samples: int = SAMPLES
 ) -> tuple[Float, Float]:
     """Return direction (..., 3) and solid angle (...), in sr, of one sample of the lobe.
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import TypeVar
+from typing import ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,21 +26,18 @@ ULP = 2.0**-23  # Unit in the last place of a float32 in [1, 2).
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Entry:
-    """A term of the registry.
+    """A term of the registry."""
 
-    name : name in options and scene files, for example "v-cavity"
-    file : library file that defines the term, for example "masking/v_cavity"
-    call : GLSL expression of the term; each subclass documents the variables of the expression
-    """
-
-    name: str
-    file: str
-    call: str
+    name: str  # in options and scene files, for example "v-cavity"
+    file: str  # library file that defines the term, for example "masking/v_cavity"
+    call: str  # GLSL expression of the term; each subclass documents its variables
+    number: int = 0  # value of the macro that selects the term, unique; 0 without a macro
+    prefix: ClassVar[str] = ""  # start of the names of these macros, for example "FR_MASKING_"
 
     @property
-    def word(self) -> str:
-        """Name of the term in GLSL macros, for example "V_CAVITY"."""
-        return self.name.upper().replace("-", "_")
+    def macro(self) -> str:
+        """The GLSL macro that selects the term, for example "FR_MASKING_V_CAVITY"."""
+        return self.prefix + self.name.upper().replace("-", "_")
 
 
 E = TypeVar("E", bound=Entry)
@@ -69,49 +66,35 @@ TITLES = {4: "Cook-Torrance", 0: "Ward"}  # Names of the models, keyed by k.
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Lobe(Entry):
-    """A lobe. The GLSL call uses float c, m and int k; the macro is FR_LOBE_NAME.
+    """A lobe. The GLSL call uses float c, m and int k."""
 
-    number : value of the macro, unique
-    evaluate : float64 reference; checks the domain
-    ends : upper end of the domain of m, keyed by k; the lower end is MIN_SLOPE
-    open_ends : values of k for which the upper end itself is outside the domain
-    errors : largest difference from the exact lobe in percent of the peak, keyed by k: six numbers
-        for m = 0.1, 0.2, ... 0.6, or one number for all slopes; None if no error is stated
-    rounding : float32 error bounds, relative and absolute, as a function of c, m and k
-    amplified : error of the lobe, in units of its peak, as a function of the relative error of
-        (1 - c)/m²
-    macro : macro that selects the lobe
-    macros : values of further macros, keyed by their names
-    price : key in tables of prices; lobes of the same cost share one key
-    constants : macro that sets the coefficients if m is constant, and the float64 function of m and
-        k that computes the coefficients
-    of_tan2 : only for the exact lobe: float64 reference as a function of tan² γ instead of c, which
-        keeps the digits of small angles
-    """
-
-    number: int
-    evaluate: Float64Lobe
-    ends: Mapping[int, float]
-    open_ends: tuple[int, ...] = ()
+    evaluate: Float64Lobe  # float64 reference; checks the domain
+    ends: Mapping[int, float]  # upper end of the domain of m, keyed by k; the lower is MIN_SLOPE
+    open_ends: tuple[int, ...] = ()  # values of k whose upper end itself is outside the domain
+    # Largest difference from the exact lobe in percent of the peak, keyed by k: six numbers for
+    # m = 0.1, 0.2, ... 0.6, or one number for all slopes; None if no error is stated.
     errors: Mapping[int, tuple[float, ...]] | None = None
+    # float32 error bounds, relative and absolute, as a function of c, m and k.
     rounding: Callable[[Float, Float, int], tuple[Float | float, Float | float]]
+    # Error of the lobe, in units of its peak, as a function of the relative error of (1 - c)/m².
     amplified: Callable[[Float], Float] = lambda error: error
-    macro: str = ""
-    macros: Mapping[str, str] = field(default_factory=dict)
-    price: str = ""
+    macro: str = ""  # macro that selects the lobe
+    macros: Mapping[str, str] = field(default_factory=dict)  # values of further macros, by name
+    price: str = ""  # key in tables of prices; lobes of the same cost share one key
+    # Macro that sets the coefficients if m is constant, and their float64 function of m and k.
     constants: tuple[str, Callable[[float, int], Float]] | None = None
+    # Only for the exact lobe: float64 reference as a function of tan² γ instead of c, which keeps
+    # the digits of small angles.
     of_tan2: Float64Lobe | None = None
+    prefix = "FR_LOBE_"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "macro", self.macro or f"FR_LOBE_{self.word}")
+        object.__setattr__(self, "macro", self.macro or super().macro)
         object.__setattr__(self, "price", self.price or self.name)
 
     def belongs(self, m: ArrayLike, k: int) -> NDArray[np.bool_]:
-        """Return whether each slope is in the domain of the lobe.
-
-        At ends that belong to the domain, the relative tolerance is 1e-6, because a G-buffer stores
-        m as float32.
-        """
+        """Return whether each slope is in the domain of the lobe. At ends that belong to the
+        domain, the relative tolerance is 1e-6, because a G-buffer stores m as float32."""
         slope = np.asarray(m, dtype=np.float64)
         end = self.end(k)
         below_end = slope < end if k in self.open_ends else slope <= end * (1.0 + 1e-6)
@@ -130,11 +113,9 @@ class Lobe(Entry):
         if not inside.all():
             end, bracket = self.end(k), ")" if k in self.open_ends else "]"
             remedy = ", or use the lobe exact (facerender render: --outside exact)"
-            raise InputError(
-                f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {self.name} for "
-                f"{TITLES[k]}: give m in [{MIN_SLOPE:g}, {end:.4g}{bracket}"
-                f"{'' if end == MAX_SLOPE else remedy}"
-            )
+            problem = f"m = {slope[~inside].flat[0]:g} is outside the domain of lobe {self.name}"
+            domain = f"[{MIN_SLOPE:g}, {end:.4g}{bracket}{'' if end == MAX_SLOPE else remedy}"
+            raise InputError(f"{problem} for {TITLES[k]}: give m in {domain}")
         return slope
 
 
@@ -194,50 +175,39 @@ class GPower:
         return f"g-power {self.g} ({self.factor:.5g}/m^2{offset})"
 
 
-# shaders/facerender/lobe/fitted.glsl contains the same constants.
-FITTED: dict[tuple[str, int], PowerPolynomial] = {
-    ("fitted", 4): PowerPolynomial(
-        5,
-        0.7,
-        (
-            (-0.39700398, 0.07498738, -0.0060935954),
-            (0.6738297, -0.58629695, 0.0026217349),
-            (0.71936623, -1.6754473, 1.1615276),
-            (-1.0351326, 4.1195317, -5.0082767),
-        ),
+# Keyed by lobe and k. shaders/facerender/lobe/fitted.glsl contains the same constants.
+_TABLES: dict[tuple[str, int], tuple[tuple[float, ...], ...]] = {
+    ("fitted", 4): (
+        (-0.39700398, 0.07498738, -0.0060935954),
+        (0.6738297, -0.58629695, 0.0026217349),
+        (0.71936623, -1.6754473, 1.1615276),
+        (-1.0351326, 4.1195317, -5.0082767),
     ),
-    ("fitted", 0): PowerPolynomial(
-        5,
-        1.0,
-        (
-            (-0.40198098, 0.083526049, -0.010091574),
-            (-0.020725706, -0.49894731, 0.08771378),
-            (0.077372606, -0.42975123, 0.18764888),
-            (-0.067503089, 0.51304211, -1.5410764),
-        ),
+    ("fitted", 0): (
+        (-0.40198098, 0.083526049, -0.010091574),
+        (-0.020725706, -0.49894731, 0.08771378),
+        (0.077372606, -0.42975123, 0.18764888),
+        (-0.067503089, 0.51304211, -1.5410764),
     ),
-    ("fitted-fine", 4): PowerPolynomial(
-        8,
-        0.7,
-        (
-            (-0.24963107, 0.030319915, -0.0020734921, 0.0),
-            (0.50360702, -0.52566283, 0.15216287, -0.017956779),
-            (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
-            (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
-            (0.19363848, -1.434821, 4.5145226, -5.6548034),
-        ),
+    ("fitted-fine", 4): (
+        (-0.24963107, 0.030319915, -0.0020734921, 0.0),
+        (0.50360702, -0.52566283, 0.15216287, -0.017956779),
+        (-0.013824908, 0.50565452, -0.92452698, 0.030042244),
+        (-0.081719136, 0.47515006, -1.4199605, 1.6944034),
+        (0.19363848, -1.434821, 4.5145226, -5.6548034),
     ),
-    ("fitted-fine", 0): PowerPolynomial(
-        8,
-        1.0,
-        (
-            (-0.24950537, 0.029811221, -0.0017648837, 0.0),
-            (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
-            (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
-            (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
-            (0.015975844, -0.20239128, 1.087785, -2.6305629),
-        ),
+    ("fitted-fine", 0): (
+        (-0.24950537, 0.029811221, -0.0017648837, 0.0),
+        (0.0018034024, -0.38853178, 0.14142554, -0.024093986),
+        (-0.0076809275, 0.078399249, -0.74785186, 0.058197197),
+        (-0.0071770924, 0.063575568, -0.40797551, 1.0990611),
+        (0.015975844, -0.20239128, 1.087785, -2.6305629),
     ),
+}
+_POWERS, _ENDS = {"fitted": 5, "fitted-fine": 8}, {4: 0.7, 0: 1.0}
+FITTED = {
+    (name, k): PowerPolynomial(_POWERS[name], _ENDS[k], table)
+    for (name, k), table in _TABLES.items()
 }
 
 
@@ -461,7 +431,7 @@ LOBES: dict[str, Lobe] = registry(
         file="lobe/fitted",
         call="fr_lobe_fitted(c, m, k)",
         evaluate=fitted,
-        ends={k: FITTED["fitted", k].max_slope for k in TITLES},
+        ends=_ENDS,
         errors={4: (0.19,), 0: (0.13,)},
         rounding=partial(_fitted_rounding, name="fitted"),
         constants=("FR_FITTED_COEFFICIENTS", fitted_coefficients),
@@ -472,7 +442,7 @@ LOBES: dict[str, Lobe] = registry(
         file="lobe/fitted",
         call="fr_lobe_fitted_fine(c, m, k)",
         evaluate=fitted_fine,
-        ends={k: FITTED["fitted-fine", k].max_slope for k in TITLES},
+        ends=_ENDS,
         errors={4: (0.04,), 0: (0.04,)},
         rounding=partial(_fitted_rounding, name="fitted-fine"),
         constants=("FR_FITTED_FINE_COEFFICIENTS", fitted_fine_coefficients),

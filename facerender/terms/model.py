@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,22 +27,13 @@ Float = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fresnel(Entry):
-    """A Fresnel term. The GLSL call uses float f0 and v_dot_h; the macro is FR_FRESNEL_NAME.
+    """A Fresnel term. The GLSL call uses float f0 and v_dot_h."""
 
-    number : value of the macro, unique
-    evaluate : float64 reference; checks the domain
-    rounding : float32 error bounds, relative and absolute, as a function of f0 and V.H
-    exactness : rank among Fresnel terms; a plan may replace a term by terms of equal or lower rank
-    """
-
-    number: int
-    evaluate: Callable[[ArrayLike, ArrayLike], Float]
+    evaluate: Callable[[ArrayLike, ArrayLike], Float]  # float64 reference; checks the domain
+    # float32 error bounds, relative and absolute, as a function of f0 and V.H.
     rounding: Callable[[Float, Float], tuple[Float | float, Float | float]]
-    exactness: int
-
-    @property
-    def macro(self) -> str:
-        return f"FR_FRESNEL_{self.word}"
+    exactness: int  # rank; a plan may replace a term by terms of equal or lower rank
+    prefix = "FR_FRESNEL_"
 
 
 def _check_f0(f0: ArrayLike) -> Float:
@@ -88,10 +80,6 @@ def fresnel_dielectric(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
     return np.asarray(np.where(c + g > 0.0, 0.5 * (s**2 + p**2), 0.0))
 
 
-def _constant(f0: ArrayLike, v_dot_h: ArrayLike) -> Float:
-    return np.broadcast_to(_check_f0(f0), np.broadcast(f0, v_dot_h).shape)
-
-
 FRESNEL: dict[str, Fresnel] = registry(
     Fresnel(
         name="schlick",
@@ -118,7 +106,7 @@ FRESNEL: dict[str, Fresnel] = registry(
         number=2,
         file="constants",
         call="f0",
-        evaluate=_constant,
+        evaluate=lambda f0, c: np.broadcast_to(_check_f0(f0), np.broadcast(f0, c).shape),
         rounding=lambda f0, v_dot_h: (0.0, 0.0),
         exactness=0,
     ),
@@ -135,24 +123,13 @@ MIN_COSINE = 1e-6  # Value of FR_MIN_COSINE in shaders/facerender/constants.glsl
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Masking(Entry):
-    """A masking term; its macro is FR_MASKING_NAME.
+    """A masking term. The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v,
+    not normalised, and returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h)."""
 
-    The GLSL call uses float n_dot_h, h_dot_h, n_dot_l and n_dot_v for h = l + v, not normalised.
-    The call returns a vec2 (x, y) with G/((N.L)(N.V)) = x/(y h_dot_h).
-
-    number : value of the macro, unique
-    cut : the BRDF is exactly 0 if N.L or N.V is at most this cosine
-    evaluate : G in float64 as a function of n_dot_h, v_dot_h, n_dot_l, n_dot_v, for a unit half
-        vector
-    """
-
-    number: int
-    cut: float = 0.0
+    cut: float = 0.0  # the BRDF is exactly 0 if N.L or N.V is at most this cosine
+    # G in float64 as a function of n_dot_h, v_dot_h, n_dot_l, n_dot_v, for a unit half vector.
     evaluate: Callable[[Float, Float, Float, Float], Float]
-
-    @property
-    def macro(self) -> str:
-        return f"FR_MASKING_{self.word}"
+    prefix = "FR_MASKING_"
 
 
 def masking_v_cavity(
@@ -264,8 +241,7 @@ def cosine_disc(c: ArrayLike, s: ArrayLike, k: ArrayLike) -> Float:
     s, k : see :func:`slope_variance_disc`; broadcast with c
     """
     cosine, sine = np.asarray(c, dtype=np.float64), np.asarray(s, dtype=np.float64)
-    above = np.maximum(cosine + sine, 0.0)
-    part = above**2 / (4.0 * np.maximum(sine, 1e-300))
+    part = np.maximum(cosine + sine, 0.0) ** 2 / (4.0 * np.maximum(sine, 1e-300))
     return np.where(cosine >= sine, cosine, part) * np.asarray(k, dtype=np.float64)
 
 
@@ -275,34 +251,26 @@ K_WARD = 0
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Model(Entry):
-    """A specular model.
+    """A specular model. The GLSL call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for
+    the slope, ``{lobe}``, ``{fresnel}`` and ``{masking}`` for the macros of the terms."""
 
-    The GLSL call uses vec3 n, l, v, float f0, and placeholders: ``{m}`` for the slope, ``{lobe}``,
-    ``{fresnel}`` and ``{masking}`` for the macros of the terms.
-
-    title : name of the model in texts
-    k : power of 1/cos γ in the lobe
-    evaluate : float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. If
-        ``factors`` is true, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further
-        parameters. If ``factors`` is false, the result excludes the factor f0 of the GLSL call
-    factors : whether the model has a Fresnel term and a masking term
-    family : name of a group of models that agree if the directions to the light and to the camera
-        equal the normal; a plan may replace a model by another model of its family
-    printed : GLSL call of the formula as published by Romanyuk et al. (2020); "" if there is none
-    two : entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
-        float lobe_weight. None if the weighted mean of two calls costs the same
-    environment : entry whose call computes the radiance (vec3) that the exact lobe reflects from
-        ``environment_map``. The call uses environment_size and the variables of the model except l
-        and ``{lobe}``. None if not implemented: there is then no specular environment light
-    """
-
-    title: str
-    k: int
+    title: str  # name of the model in texts
+    k: int  # power of 1/cos γ in the lobe
+    # float64 reference as a function of n, l, v, m and ``lobe``; checks the domain. If ``factors``
+    # is true, f0 follows m, and ``fresnel_term`` and ``masking_term`` are further parameters. If
+    # ``factors`` is false, the result excludes the factor f0 of the GLSL call.
     evaluate: Callable[..., Float]
-    factors: bool = False
+    factors: bool = False  # whether the model has a Fresnel term and a masking term
+    # Name of a group of models that agree if the directions to the light and to the camera equal
+    # the normal; a plan may replace a model by another model of its family.
     family: str
-    printed: str = ""
+    printed: str = ""  # GLSL call of the formula as published by Romanyuk et al. (2020)
+    # Entry of the model with two lobes; its call also uses ``{second}``, the second slope, and
+    # float lobe_weight. None if the weighted mean of two calls costs the same.
     two: Entry | None = None
+    # Entry whose call computes the radiance (vec3) that the exact lobe reflects from
+    # ``environment_map``. The call uses environment_size and the variables of the model except l
+    # and ``{lobe}``. None if not implemented: there is then no specular environment light.
     environment: Entry | None = None
 
 
@@ -409,12 +377,8 @@ def cook_torrance_two(
     w = np.asarray(weight, dtype=np.float64)
     check_range("weight", float(w.min()), 0.0, 1.0)
     check_range("weight", float(w.max()), 0.0, 1.0)
-    first, second = (
-        cook_torrance(
-            n, l, v, m, f0, lobe=lobe, fresnel_term=fresnel_term, masking_term=masking_term
-        )
-        for m in (m0, m1)
-    )
+    terms: Any = {"lobe": lobe, "fresnel_term": fresnel_term, "masking_term": masking_term}
+    first, second = (cook_torrance(n, l, v, m, f0, **terms) for m in (m0, m1))
     return w * first + (1.0 - w) * second
 
 

@@ -53,10 +53,9 @@ def profile_of(profile: Any) -> str | Gaussians:
     variances, weights = _columns(rows)
     in_range = (variances > 0.0) & (variances <= MAX_VARIANCE)
     if not 0 < len(variances) <= MAX_GAUSSIANS or not in_range.all():
-        raise InputError(
-            f"scattering = {quoted(profile)}: give a name, or 1 to {MAX_GAUSSIANS} Gaussians, each "
-            f"as a variance in (0, {MAX_VARIANCE:g}] mm^2 and weights of red, green and blue"
-        )
+        numbers = f"a variance in (0, {MAX_VARIANCE:g}] mm^2 and weights of red, green and blue"
+        remedy = f"give a name, or 1 to {MAX_GAUSSIANS} Gaussians, each as {numbers}"
+        raise InputError(f"scattering = {quoted(profile)}: {remedy}")
     if not ((weights >= 0.0).all() and (weights.sum(axis=0) <= 1.0 + 1e-6).all()):
         remedy = "give weights of at least 0 whose sum in each channel is at most 1"
         raise InputError(f"scattering = {quoted(profile)}: {remedy}")
@@ -71,10 +70,8 @@ def wide_gaussians(profile: str | Gaussians, pixel: float) -> Gaussians:
 
 
 def scatter_profile(r2: ArrayLike, gaussians: Gaussians) -> Float:
-    """Return the fraction of light, per mm^2, that leaves at a distance from its entry, (..., 3).
-
-    r2 : squared distance in mm^2, >= 0; any shape
-    """
+    """Return the fraction of light, per mm^2, that leaves at a distance from its entry, (..., 3),
+    from the squared distance r2 in mm^2, >= 0, of any shape."""
     variance, weight = _columns(gaussians)
     falloff = np.exp(-np.asarray(r2, dtype=np.float64)[..., None] / (2.0 * variance))
     return np.asarray((falloff / (2.0 * math.pi * variance)) @ weight, dtype=np.float64)
@@ -87,11 +84,9 @@ def rest(gaussians: Gaussians) -> Float:
 
 @lru_cache(maxsize=64)
 def spiral(gaussians: Gaussians, samples: int) -> Float:
-    """Return, for each sample around a pixel, its offset in mm and its 1/density in mm^2.
-
-    The shape is (samples, 3). The radii are distributed like the profile of the channel that
-    scatters farthest.
-    """
+    """Return, for each sample around a pixel, its offset in mm and its 1/density in mm^2. The shape
+    is (samples, 3). The radii are distributed like the profile of the channel that scatters
+    farthest."""
     variance, weight = _columns(gaussians)
     share = weight[:, int(np.argmax(variance @ weight / np.maximum(weight.sum(axis=0), 1e-30)))]
     share = share / share.sum()
@@ -112,11 +107,9 @@ def scatter_uniforms(gaussians: Gaussians, samples: int, unit: float = 1.0) -> d
     unit : millimetres per unit of length in the shader
     """
     variance, weight = _columns(gaussians)
-    variance = variance[:, None] / unit**2
+    doubled = 2.0 * variance[:, None] / unit**2
     return {
-        "gaussians": np.hstack(
-            [weight / (2.0 * math.pi * variance), -math.log2(math.e) / (2.0 * variance)]
-        ),
+        "gaussians": np.hstack([weight / (math.pi * doubled), -math.log2(math.e) / doubled]),
         "rest": rest(gaussians),
         "spiral": spiral(gaussians, samples) / (unit, unit, unit**2),
     }

@@ -200,10 +200,8 @@ class Texture:
         return texture
 
     def sampled(self, wrap: tuple[Wrap, Wrap], nearest: bool = False) -> Texture:
-        """Return a texture with other sampling, which shares this texture's decoded image.
-
-        wrap, nearest : see the attributes of :class:`Texture`
-        """
+        """Return a texture with other sampling, see the attributes of :class:`Texture`. It shares
+        this texture's decoded image."""
         modes = get_args(Wrap)
         if len(wrap) != 2 or any(mode not in modes for mode in wrap):
             raise InputError(f"wrap = {quoted(wrap)}: give two of {', '.join(modes)}, for u and v")
@@ -330,8 +328,7 @@ class Texture:
                 self._chains.clear()
 
     def ends(self) -> NDArray[np.uint8]:
-        """Return the minimum and maximum of each channel over the image, (2, 3). Waits until
-        the mip chain "data" is computed."""
+        """Return the image's minimum and maximum per channel, (2, 3). Wait for the chain "data"."""
         if self._chains.ends is None:
             finest = self.levels("data").result()[0]
             rows = finest.reshape(len(finest), -1)  # NumPy reduces long rows 30 times as fast
@@ -341,10 +338,8 @@ class Texture:
 
     def preview(self, side: int, decode: bool = False) -> NDArray[np.uint8] | None:
         """Return a small image (H, W, 3) in 8 bits, with row 0 at the bottom: the finest mip level
-        with at most ``side`` texels a side.
-
-        decode : whether to decode the image if no mip chain is computed yet; else return None
-        """
+        with at most ``side`` texels a side. If no mip chain is computed yet, the image is decoded
+        if ``decode``, else the result is None."""
         with _starting:
             computed = next((chain for chain in self._chains.values() if chain.done()), None)
         if computed:

@@ -398,9 +398,7 @@ function draw(which, target = targets[which], count = 0) {
   const term = state[which === "base" ? "a" : which];
   bindCleared(targets.sampled ?? target, facts.background);
   gl.depthFunc(count ? gl.LEQUAL : gl.LESS);
-  for (let i = 0; i <= count; ++i) {
-    drawParts(term, part => shadeSource(part, term, which !== "base"));
-  }
+  for (let i = 0; i <= count; ++i) drawParts(term, part => shadeSource(part, term, which !== "base"));
   gl.depthFunc(gl.LESS);
   if (!targets.sampled) return;
   const whole = [0, 0, ...size];
@@ -444,8 +442,7 @@ async function read(target) {
   if (!await fenced()) return null;
   gl.bindBuffer(gl.PIXEL_PACK_BUFFER, buffer);
   gl.getBufferSubData(gl.PIXEL_PACK_BUFFER, 0, pixels);
-  gl.bindBuffer(gl.PIXEL_PACK_BUFFER, null);
-  gl.deleteBuffer(buffer);
+  gl.deleteBuffer(buffer);  // Unbinds it, too.
   return pixels;
 }
 

@@ -194,10 +194,7 @@ function buildControls() {
   choice("cameras", Object.keys(cameras).map(name => [name, name]), () => {
     const {azimuth, elevation} = state.camera;
     return elevation === 0 ? Object.keys(cameras).find(name => cameras[name] === azimuth) : undefined;
-  }, name => {
-    Object.assign(state.camera, {azimuth: cameras[name], elevation: 0});
-    changed();
-  });
+  }, changing(name => Object.assign(state.camera, {azimuth: cameras[name], elevation: 0})));
   const fit = button("fit", "Fit the gain to the largest error", () => setGain(null));
   refreshers.push(() => fit.setAttribute("aria-pressed", state.gain === null), writeCosts);
   byId("sliders").append(
@@ -233,11 +230,10 @@ function buildControls() {
 }
 
 // Turns a light or the camera by angles in degrees.
-function turn(direction, right, up) {
+const turn = changing((direction, right, up) => {
   direction.azimuth = (direction.azimuth + right + 540) % 360 - 180;
   direction.elevation = clamp(direction.elevation + up, -90, 90);
-  changed();
-}
+});
 
 const STEPS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]};
 
@@ -279,15 +275,8 @@ function dragged(target, move, pinch) {
   }
 }
 
-function zoom(factor) {
-  state.camera.zoom = clamp(state.camera.zoom * factor, 0.2, 50);
-  changed();
-}
-
-function cutAt(fraction) {
-  state.cut = clamp(fraction, 0, 1);
-  changed();
-}
+const zoom = changing(factor => { state.camera.zoom = clamp(state.camera.zoom * factor, 0.2, 50); });
+const cutAt = changing(fraction => { state.cut = clamp(fraction, 0, 1); });
 
 function listen() {
   dragged(canvas, (dx, dy) => {
@@ -299,10 +288,8 @@ function listen() {
     zoom(Math.exp(-0.0015 * event.deltaY * (event.deltaMode ? 30 : 1)));
   }, {passive: false});
   onKeys(canvas, (right, down) => turn(state.camera, -5 * right, 5 * down), {
-    "+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1), "0": () => {
-      state.camera = firstState().camera;
-      changed();
-    }});
+    "+": () => zoom(1.1), "=": () => zoom(1.1), "-": () => zoom(1 / 1.1),
+    "0": changing(() => { state.camera = firstState().camera; })});
   dragged(byId("cut"), (dx, dy, event) => cutAt(positionOf(event)[0]));
   onKeys(byId("cut"), right => cutAt(state.cut + 0.02 * right), {Home: () => cutAt(0), End: () => cutAt(1)});
   canvas.addEventListener("webglcontextlost", event => {

@@ -14,12 +14,16 @@ function element(tag, properties = {}, ...children) {
   return made;
 }
 
+// Returns a function that changes the state, and updates the page.
+const changing = change => (...values) => {
+  change(...values);
+  changed();
+};
+
 // Returns the functions that read and write a field. owner returns the object that has the field, or
 // undefined for a light that does not exist.
-const fieldOf = (owner, name) => [() => owner()?.[name] ?? null, value => {
-  owner()[name] = value;
-  changed();
-}];
+const fieldOf = (owner, name) =>
+  [() => owner()?.[name] ?? null, changing(value => { owner()[name] = value; })];
 
 // Adds radio buttons side by side, from pairs of value and text.
 function choice(id, pairs, read, write) {
@@ -146,15 +150,9 @@ function buildTerms() {
   typed("m of plan", "constant", {empty: "none"}, {shown: term => term.constant !== null});
   typed("f0", "f0", {empty: fileValue("f0")});
   typed("ks", "ks", {empty: fileValue("specular_weight")});
-  byId("swap").onclick = () => {
-    [state.a, state.b] = [state.b, state.a];
-    changed();
-  };
+  byId("swap").onclick = changing(() => { [state.a, state.b] = [state.b, state.a]; });
   for (const [which, other] of [["a", "b"], ["b", "a"]]) {
-    byId(`copy-${which}`).onclick = () => {
-      state[other] = {...state[which]};
-      changed();
-    };
+    byId(`copy-${which}`).onclick = changing(() => { state[other] = {...state[which]}; });
   }
 }
 
@@ -177,10 +175,7 @@ function buildLight(i) {
   const cells = [
     swatch, typed("azimuth"), typed("elevation"),
     brightness(`irradiance of light ${i + 1}`, light, "irradiance"), typed("radius"),
-    button("×", `Remove light ${i + 1}`, () => {
-      state.lights.splice(i, 1);
-      changed();
-    }),
+    button("×", `Remove light ${i + 1}`, changing(() => state.lights.splice(i, 1))),
   ];
   const row = element("tr", {}, ...cells.map(cell => element("td", {}, cell)));
   byId("light-rows").append(row);
@@ -203,10 +198,8 @@ function buildLight(i) {
 
 function buildLights() {
   for (let i = 0; i < facts.most_lights; ++i) buildLight(i);
-  byId("add").onclick = () => {
-    state.lights.push({azimuth: 0, elevation: 30, irradiance: [2, 2, 2], radius: 0, distance: null});
-    changed();
-  };
+  const added = {azimuth: 0, elevation: 30, irradiance: [2, 2, 2], radius: 0, distance: null};
+  byId("add").onclick = changing(() => state.lights.push(structuredClone(added)));
   refreshers.push(() => { byId("add").disabled = state.lights.length >= facts.most_lights; });
   byId("ambient").append(brightness("irradiance of the ambient light", () => state, "ambient"));
 }
