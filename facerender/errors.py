@@ -110,13 +110,12 @@ def is_number(value: Any) -> bool:
 
 def check_range(name: str, value: Any, low: float, high: float) -> None:
     """Raise InputError unless a value is a number in [low, high]."""
+    limits = f"[{low:g}, {high:g}]"
     if not is_number(value):
-        raise InputError(
-            f"{name} = {quoted(value)} is not a number: give a number in [{low:g}, {high:g}]"
-        )
+        raise InputError(f"{name} = {quoted(value)} is not a number: give a number in {limits}")
     if not low <= value <= high:
         raise InputError(
-            f"{name} = {quoted(value)} is outside [{low:g}, {high:g}]: give a value in this range"
+            f"{name} = {quoted(value)} is outside {limits}: give a value in this range"
         )
 
 

@@ -30,7 +30,6 @@ from facerender.values.vectors import COLORS, MAX_RADIANCE, Vector, numbers_in
 if TYPE_CHECKING:
     from facerender.terms.transport import Gaussians
 
-
 SKIN_ALBEDO: Vector = (0.48, 0.28, 0.21)  # linear RGB; default of meshes without colours
 
 Alpha = Literal["opaque", "mask", "blend"]
@@ -288,19 +287,13 @@ _ENAMEL, _KERATIN = 1.62, 1.55
 
 
 def reflectance(index: float) -> float:
-    """Return the Fresnel reflectance at normal incidence, seen from air, of an index of refraction
-    (at least 1)."""
+    """Return the Fresnel reflectance at normal incidence, from air, for an index of at least 1."""
     return ((index - 1.0) / (index + 1.0)) ** 2
 
 
 # The fields that every preset sets: these values, unless the preset has its own.
-COMMON: dict[str, Any] = {
-    name: getattr(Material, name)
-    for name in (
-        *("ks", "kd", "second_slope", "lobe_weight", "alpha", "opacity"),
-        *("emissive", "unlit", "transmission", "refraction"),
-    )
-}
+_SHARED = "ks kd second_slope lobe_weight alpha opacity emissive unlit transmission refraction"
+COMMON: dict[str, Any] = {name: getattr(Material, name) for name in _SHARED.split()}
 _LOBES = {"second_slope": 0.333, "lobe_weight": 0.85}
 _SPECIFIC: dict[str, dict[str, Any]] = {
     "skin": {"m": 0.3, "f0": 0.028, **_LOBES},
@@ -360,10 +353,8 @@ class Factors(Limits):
         base = preset(chosen["preset"]) if chosen else {}
         material = build(Material, {**base, **table}, name)
         # Names stay names: a file states "skin", not the Gaussians of skin.
-        return {
-            key: (value if isinstance(value, str) else getattr(material, key))
-            for key, value in table.items()
-        } | chosen
+        converted = {k: v if isinstance(v, str) else getattr(material, k) for k, v in table.items()}
+        return converted | chosen
 
 
 class PartFactors(Limits):
@@ -387,21 +378,14 @@ def parse_part(text: str) -> tuple[str, dict[str, Any]]:
     first, *words = re.split(",(?=[^,]*=)", text)
     pattern, _, preset = first.partition("=")
     if not pattern or "," in first or not (preset or words):
-        raise InputError(
-            f"--part {quoted(text)}: give NAME=PRESET or NAME,FIELD=VALUE, such as 'eye*=sclera' "
-            f"or 'lash*,opacity=0.8'; presets: {', '.join(PRESETS)}"
-        )
+        forms = "NAME=PRESET or NAME,FIELD=VALUE, such as 'eye*=sclera' or 'lash*,opacity=0.8'"
+        raise InputError(f"--part {quoted(text)}: give {forms}; presets: {', '.join(PRESETS)}")
     table: dict[str, Any] = {"preset": preset} if preset else {}
     for word in words:
         name, _, value = word.partition("=")
         numbers = numbers_in(value.split(","))
-        table[name.strip()] = (
-            value == "true"
-            if value in ("true", "false")
-            else numbers[0]
-            if len(numbers) == 1
-            else tuple(numbers) or value
-        )
+        number = numbers[0] if len(numbers) == 1 else tuple(numbers) or value
+        table[name.strip()] = value == "true" if value in ("true", "false") else number
     return pattern, Factors(True).check(f"--part.{pattern}", table)
 
 

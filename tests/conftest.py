@@ -174,9 +174,9 @@ def measured_gain(monkeypatch: pytest.MonkeyPatch) -> None:
 def no_meshoptimizer(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Hide meshoptimizer, as if the extra ``lod`` were not installed."""
     monkeypatch.setattr(simplify, "find_spec", lambda name: None)
-    simplify._library.cache_clear()
+    simplify.library.cache_clear()
     yield
-    simplify._library.cache_clear()
+    simplify.library.cache_clear()
 
 
 @pytest.fixture

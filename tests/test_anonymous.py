@@ -249,6 +249,17 @@ def test_the_id_names_image_and_mesh(words, scans, out):
     assert f"<title>facerender explorer: {name}</title>" in (out / f"{name}.html").read_text()
 
 
+@pytest.mark.parametrize("form", ["png", "tiff"])
+def test_standard_views_contain_no_name(form, scans, out):
+    scan = "@NAME.obj", "--camera", "frontal", "--format", form, "--id", "P017"
+    words = "views", "@NAME.obj", *scan, "--register", "--size", "64", "-o", "views"
+    run(scans, out, *words, "--json")
+    names = "P017-1-frontal", "P017-2-frontal", "changes", "sheet"
+    assert sorted(path.name for path in (out / "views").iterdir()) == [
+        f"{name}.{form}" for name in names
+    ]
+
+
 @pytest.mark.parametrize("options", [
     ("--part", "*links,m=0.2", "--parts", "*links", "--normal-map", "@NAME rechts.jpg"),
     ("--background", "@NAME links.jpg", "--environment", "@Käthe panorama.npy"),

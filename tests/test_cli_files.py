@@ -29,6 +29,7 @@ BASES: dict[str, tuple[str, ...]] = {
     "measure": ("--quick",),
     "compare": (),
     "explore": ("-o", "x.html"),
+    "views": (str(MINI_HEAD), "-o", "out", "--size", "16", "--camera", "frontal"),
 }
 FILES = {"jobs": "jobs.csv", "a": "a.png", "b": "a.png"}
 SUFFIX = {

@@ -23,7 +23,7 @@ from facerender.comparison.result import Limits
 from facerender.comparison.sources import HIGHEST
 from facerender.images.files import FRAME_RATES
 from facerender.values.fields import EXPOSURES, MEMORY, Range, range_of
-from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS
+from facerender.values.vectors import MILLIMETRES, ROTATIONS, SHAPE_WEIGHTS
 from tests.awkward_files import MINI_HEAD
 from tests.test_help import PARSERS
 
@@ -32,6 +32,7 @@ BASES = {
     "plan": ("head.obj", "--budget", "1/255", "--size", "16"),
     "batch": ("jobs.csv", "-o", "out"),
     "explore": ("head.obj", "-o", "x.html"),
+    "views": ("head.obj", "-o", "out"),
     "info": ("head.obj",),
     "measure": ("--quick", "-o", "out"),
     "compare": ("a.npy", "a.npy"),
@@ -73,6 +74,7 @@ PYTHON: dict[str, tuple[Range, Raises]] = {
     "weight": (SHAPE_WEIGHTS, lambda value: fr.Pose({"jawOpen": value})),
     "joint": (ROTATIONS, lambda value: fr.Pose(joints={"head": value})),
     "fps": (Range(*FRAME_RATES), lambda value: fr.save_animation("x.gif", [IMAGE], value)),
+    "mm_per_pixel": (MILLIMETRES, partial(MILLIMETRES.check, "mm_per_pixel")),
     "memory": (MEMORY, lambda value: fr.Renderer((8, 8), memory=value)),
 }
 ONLY_CLI = ("budget", "within", "workers", "timeout", "tries", "chunk", "scatter_samples", "bits")

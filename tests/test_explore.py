@@ -8,6 +8,7 @@ import io
 import json
 import re
 import shlex
+import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +25,7 @@ from facerender.drawing import reference
 from facerender.drawing.frame import GBuffer
 from facerender.explorer.page import drawable, encoded, explorer_page
 from facerender.images.image import linear_to_srgb
-from facerender.loading import MeshFile
+from facerender.loading import MESH_PATHS, MeshFile
 from facerender.lobes import GPower, lobe
 from facerender.planning.budget import Budget
 from facerender.scene.job import Job
@@ -176,8 +177,10 @@ def test_pixels_curves_and_command_of_a_term(page, mesh, written, tmp_path, word
     for job in jobs:
         assert job.shading == fr.Shading(**vars(term))
         assert {name: job.material[name] for name in changes} == changes
-        roughness = None if "m" in changes else written[1].roughness_map
-        assert job.mesh == replace(written[1], roughness_map=roughness)
+        paths = {name: getattr(written[1], name) for name in MESH_PATHS}
+        names = {name: path and Path(path).name for name, path in paths.items()}
+        names |= {"roughness_map": None} if "m" in changes else {}
+        assert job.mesh == replace(written[1], **names)
         assert (job.camera.azimuth, job.camera.zoom) == (-3.0, 1.05)
         assert job.lights[0] == fr.Light(-50.0, 42.0, (3.6, 3.4, 3.1), radius=20.0, shadow=False)
         position = mesh.center + (0.0, 0.0, 3.0 * mesh.radius)
@@ -316,7 +319,10 @@ def test_saved_scene_renders_the_image_of_the_page(browser, tmp_path, written, m
         material.kd = 0.8
         shading = { lobe = "d8", m = 0.31416 }
     """)
-    words = [str(MINI), "--normal-map", written[1].normal_map, "--scene", "plan.toml"]
+    shutil.copy(MINI, tmp_path)  # the command has the names of the files without directories
+    shutil.copy(written[1].normal_map, tmp_path)
+    names = MINI.name, Path(written[1].normal_map).name
+    words = [names[0], "--normal-map", names[1], "--scene", "plan.toml"]
     assert main(["explore", *words, "-o", "page.html"]) == 0
     with opened(browser, Path("page.html").absolute().as_uri()) as page:
         fields = [page.get_by_label(f"m of plan of {name}") for name in "AB"]

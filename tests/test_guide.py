@@ -99,7 +99,7 @@ def broken_links(page: Path) -> list[str]:
 
 def test_the_readme_and_the_guide_are_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").split()) <= 700
-    assert sum(words(page) for page in GUIDE[1:]) <= 18_150
+    assert sum(words(page) for page in GUIDE[1:]) <= 18_250
 
 
 @pytest.fixture
@@ -195,7 +195,7 @@ def test_a_broken_link_is_seen(tmp_path):
 def test_the_api_reference_has_every_public_name():
     page = (DOCS / "api.md").read_text(encoding="utf-8")
     documented = set(
-        re.findall(r"^\.\. auto(?:function|class|exception|data):: (\w+)$", page, re.M)
+        re.findall(r"^\.\. (?:auto(?:function|class|exception)|py:data):: (\w+)$", page, re.M)
     )
     modules = set(re.findall(r"^\.\. automodule:: facerender\.(\w+)$", page, re.MULTILINE))
     assert documented | modules == set(fr.__all__) - {"__version__"}

@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import facerender as fr
 from tests import stand_ins
 from tests.awkward_files import MINI_HEAD
 from tests.markdown import blocks
 from tests.test_guide import GUIDE, ROOT, name
+from tests.test_standard_views import advanced, write_obj
 from tools.docs.blocks import by_hand
 
 NAMED = re.compile(r"(?:`|# |// )([a-z_]+\.(?:toml|json|jsonl|csv|py|glsl))`?")
@@ -31,7 +33,7 @@ SMOKE = "README"  # the page of `make test`; the other pages take seconds each
 FACERENDER = """
 import sys
 from facerender.commands import main
-if sys.argv[1] in ("render", "plan", "explore"):
+if sys.argv[1] in ("render", "plan", "explore", "views"):
     from facerender.drawing.renderer import Renderer
     init = Renderer.__init__
     def tenth(self, size=(1024, 1024), *arguments, **options):
@@ -91,6 +93,9 @@ def write_inputs(folder: Path) -> None:
     for file in ("colour.jpg", "pores.png", "sweat.png"):
         Image.fromarray(texels).save(folder / file)
     shutil.copy(folder / "head.obj", folder / "scan.obj")
+    mini = fr.load_mesh(MINI_HEAD)
+    for file, change in (("before.obj", lambda points: points), ("after.obj", advanced(mini))):
+        write_obj(folder / file, mini, change)
     (folder / "skin.frag").write_text(SHADER)
 
 

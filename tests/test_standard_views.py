@@ -4,6 +4,7 @@ and the sheet of changes."""
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -95,7 +96,11 @@ def test_two_scans_have_one_frame(cli, mini, tmp_path):
     before = write_obj(tmp_path / "before.obj", mini)
     after = write_obj(tmp_path / "after.obj", mini, advanced(mini))
     line = ["views", before, after, "--mm-per-pixel", "1.5", "--size", "200", "-o", cli.folder]
-    assert cli.run(*line)[0] == 0
+    status, out, _ = cli.run(*line)
+    assert status == 0
+    low, high = map(float, re.match(r"changes from (\S+) \(inwards\) to (\S+) mm", out).groups())
+    assert low == pytest.approx(0.0, abs=0.6)  # a pixel is 1.5 mm wide
+    assert high == pytest.approx(5.0, abs=0.3)
     names = [f"{stem}-{view}.png" for stem in ("before", "after") for view in VIEWS]
     assert cli.written == sorted([*names, "sheet.png", "changes.png"])
     # The chin moves by 5 mm, the rest of the profile stays.
@@ -122,10 +127,19 @@ def test_scans_in_other_units_and_places(cli, mini, tmp_path):
     line = ["views", metres, millimetres, elsewhere, "--camera", "frontal", *SIZE, "-o", cli.folder]
     _, _, err = cli.run(*line)
     assert "the face of c.obj is not where that of a.obj is" in err
-    assert "give --register" in err
+    assert "changes are not drawn; give --register" in err
+    assert "changes.png" not in cli.written
     a, b, c = (image_of(cli.folder / f"{name}-frontal.png") for name in "abc")
     assert np.abs(a - b).max() <= 2
     assert np.abs(a - c).mean() < 0.5
+
+
+def test_labels_name_the_scans(cli):
+    line = ["views", MINI_HEAD, MINI_HEAD, "--camera", "frontal", *SIZE, "-o", cli.folder]
+    assert cli.run(*line, "--labels", "before,after")[0] == 0
+    assert cli.written == ["after-frontal.png", "before-frontal.png", "changes.png", "sheet.png"]
+    cli.fail("--labels a with 2 scans: give a different name for each", *line, "--labels", "a")
+    cli.fail("--labels a,a with 2 scans: give", *line, "--labels", "a,a")
 
 
 def test_equal_names_are_numbered(cli, mini, tmp_path):
@@ -158,14 +172,24 @@ def test_changes_are_distances_of_the_surface():
     """A plane with a slope of 45 degrees that moves along its normal by 2 mm."""
     rows = np.arange(40.0)[:, None].repeat(30, axis=1)
     before, after = rows, rows + 2.0 * np.sqrt(2.0)
-    hole = after.copy()
-    hole[:5] = np.nan
     white = np.full((40, 30, 3), 255, dtype=np.uint8)
-    pairs = [(before, after), (after, before), (before, hole)]
-    sheet = changes(pairs, [white] * 3, ["a", "b", "c"], 1.0, "mm")
-    cells = [sheet[-42:-2, x : x + 30] for x in (2, 34, 66)]  # below titles, with gaps of 2 pixels
-    outwards, inwards, holes = (cell[20].mean(axis=0) for cell in cells)
+    sheet, distances = changes([(before, after), (after, before)], [white] * 2, "ab", 1.0, "mm")
+    np.testing.assert_allclose(distances, (-2.0, 2.0), rtol=1e-3)
+    cells = [sheet[-42:-2, x : x + 30] for x in (2, 34)]  # below titles, with gaps of 2 pixels
+    outwards, inwards = (cell[20].mean(axis=0) for cell in cells)
     np.testing.assert_allclose(outwards, OUTWARDS, atol=2)
     np.testing.assert_allclose(inwards, INWARDS, atol=2)
-    np.testing.assert_allclose(holes, OUTWARDS, atol=2)
-    np.testing.assert_allclose(cells[2][:5].mean(axis=(0, 1)), INWARDS, atol=2)  # the hole
+
+
+def test_changes_at_outlines_are_distances_of_the_nearest_points():
+    """A plane that ends three rows earlier, and a step that hides the plane behind it."""
+    flat = np.zeros((96, 40))
+    short, step, longer = flat.copy(), flat.copy(), flat.copy()
+    short[90:] = np.nan
+    longer[93:] = np.nan
+    step[:40], moved = 30.0, flat.copy()
+    moved[:42] = 30.0
+    white = np.full((96, 40, 3), 255, dtype=np.uint8)
+    _, distances = changes([(short, longer), (step, moved)], [white] * 2, "ab", 1.0, "mm")
+    # The outermost row has no slope, and does not count.
+    np.testing.assert_allclose(distances, (0.0, 2.0), atol=0.3)

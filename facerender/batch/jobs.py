@@ -20,14 +20,7 @@ from uuid import uuid4
 import numpy as np
 
 from facerender import __version__
-from facerender.batch.tables import (
-    NAMED,
-    nested,
-    read_rows,
-    read_toml,
-    repeated,
-    with_default_lights,
-)
+from facerender.batch import tables as formats
 from facerender.errors import InputError, check_known, clipped, quoted, warn
 from facerender.images.image import TONES, Tone
 from facerender.loading import MESH_PATHS
@@ -142,10 +135,10 @@ class JobTable:
         error."""
         _scene_tables.cache_clear()  # the files may have changed
         name = PurePath(self._path).name
-        defaults, folder = nested(self._common), os.getcwd()
+        defaults, folder = formats.nested(self._common), os.getcwd()
         base = _over_scene(defaults, defaults.pop("scene", None))
         number = -1
-        for number, (line, parse) in enumerate(read_rows(self._path)):
+        for number, (line, parse) in enumerate(formats.read_rows(self._path)):
             position = f"{name}, row {number + 1}" + (f" (line {line})" if line else "")
             try:
                 values = parse()
@@ -191,7 +184,7 @@ def _over_scene(tables: Table, scene: Any) -> Table:
 @lru_cache(64)
 def _scene_tables(path: str) -> Table:
     """Return the tables of a scene file; `facerender plan` writes such files."""
-    tables = nested(read_toml(Path(path)))
+    tables = formats.nested(formats.read_toml(Path(path)))
     if tables.pop("outputs", None):  # a batch has a list of outputs for all jobs
         warn(f"the outputs of {path} are not used: name the outputs with --outputs")
     return tables
@@ -200,11 +193,11 @@ def _scene_tables(path: str) -> Table:
 def _row(number: int, values: Table, folder: str) -> tuple[Row, Job]:
     """Return row and job of the merged tables of scene file, defaults and row. Paths are relative
     to `folder`, and become absolute, because workers may have another working directory."""
-    values = with_default_lights(values)
+    values = formats.with_default_lights(values)
     meta = values.pop("meta", {})
     if type(meta) is not dict:
         raise InputError(f"meta = {quoted(meta)}: give a table, or values such as meta.age")
-    tables: Table = {key: listed(value, key, NAMED) for key, value in values.items()}
+    tables: Table = {key: listed(value, key, formats.NAMED) for key, value in values.items()}
     template = tables.pop("id", _NUMBERED)
     if "anonymous" in tables and {field[1] for field in _FIELD.finditer(str(template))} - _NAMELESS:
         template = _NUMBERED
@@ -254,7 +247,7 @@ def _outputs(value: Any) -> tuple[str, ...]:
         raise InputError(f"outputs = {quoted(value)}: give a list of {', '.join(OUTPUTS)}")
     for name in names:
         check_known("output", name, OUTPUTS)
-    if (twice := repeated(names)) is not None:
+    if (twice := formats.repeated(names)) is not None:
         raise InputError(f"output {twice} is given twice: leave one out")
     return tuple(names)
 
@@ -424,9 +417,8 @@ def key_of(row: Row) -> str:
 
 def forget_files() -> None:
     """Clear the cached digests of files, which may have changed."""
-    _mesh_with_contents.cache_clear()
-    _mesh_content.cache_clear()
-    _content.cache_clear()
+    for cached in (_mesh_with_contents, _mesh_content, _content):
+        cached.cache_clear()
 
 
 @lru_cache(100_000)

@@ -44,11 +44,9 @@ _WHITE = Texture.from_array([[[1.0, 1.0, 1.0]]])
 
 def file_faults(rows: Iterable[tuple[str, Row, Job]]) -> list[str]:
     """Return a message for each input file that cannot be used, and for each shape, clip, file of
-    vertices and landmark file that does not fit its mesh. Maps of mesh files are decoded, too.
-
-    A message has the position of the first row with this file; for a clip and a file of vertices,
-    of the row with the largest time or frame.
-    """
+    vertices and landmark file that does not fit its mesh. Maps of mesh files are decoded, too. A
+    message has the position of the first row with this file; for a clip and a file of vertices, of
+    the row with the largest time or frame."""
     locations: dict[_File, _Location] = {}  # of the first row with a file
     # Poses and landmark files that must fit a mesh, by mesh and text, with the time or frame.
     uses: dict[_File, dict[str, tuple[float, _Location, Pose | str]]] = {}
@@ -147,14 +145,9 @@ _READ: dict[str, Callable[[Any], Any]] = {
 # Channel names in layers.exr. The last letter of a name selects how compositing programs show the
 # channel: Y is grey. mask.A is the name of Nuke's own mask layer.
 _CHANNELS = {
-    "image": ("R", "G", "B", "A"),
-    "specular": ("specular.R", "specular.G", "specular.B"),
-    "diffuse": ("diffuse.R", "diffuse.G", "diffuse.B"),
-    "albedo": ("albedo.R", "albedo.G", "albedo.B"),
+    **{"image": ("R", "G", "B", "A"), "depth": ("Z",), "visibility": ("visibility.Y",)},
+    **{n: tuple(f"{n}.{c}" for c in "RGB") for n in ("specular", "diffuse", "albedo", "cosines")},
     "normal": ("normal.X", "normal.Y", "normal.Z"),
-    "depth": ("Z",),
-    "cosines": ("cosines.R", "cosines.G", "cosines.B"),
-    "visibility": ("visibility.Y",),
     "mask": ("mask.A",),
     "parts": ("part.Y",),
     "motion": ("motion.X", "motion.Y"),
@@ -195,11 +188,10 @@ class Drawn:
 def draw(
     job: Job, mesh: Mesh, renderer: Renderer, outputs: Sequence[str], exposure: float, tone: Tone
 ) -> Drawn:
-    """Draw the outputs of a job, which docs/batch.md describes. On the same OpenGL driver, the same
-    job gives the same bytes.
+    """Draw outputs of a job, with names from OUTPUTS, which docs/batch.md describes. On the same
+    OpenGL driver, the same job gives the same bytes.
 
     mesh, renderer : ``job.mesh.load()``, and a renderer with the job's image settings
-    outputs : names from OUTPUTS
     exposure, tone : of image.png, specular.png and diffuse.png
     """
     if "layers" in outputs:

@@ -33,6 +33,7 @@ from facerender.batch.outputs import transforms_frame
 from facerender.batch.tables import json_lines, write_parquet
 from facerender.errors import InputError, reason, withheld
 from facerender.system.files import TEMPORARY, CannotUse, reported
+from facerender.system.process import optional
 from facerender.system.signals import if_ended
 
 _UNFINISHED = ".unfinished"
@@ -48,13 +49,11 @@ class Storage:
         self.remote = "://" in self.root
         if not self.remote:
             return
-        try:
-            import fsspec
-        except ImportError:
-            raise InputError(f"{self.root} needs fsspec: pip install 'facerender[batch]'") from None
+        remedy = "pip install 'facerender[batch]'"
+        fsspec = optional("fsspec.core", f"{self.root} needs fsspec: {remedy}")
         try:
             # A cached listing would miss files that other processes have written since.
-            system, path = fsspec.core.url_to_fs(self.root, use_listings_cache=False)
+            system, path = fsspec.url_to_fs(self.root, use_listings_cache=False)
         except (ValueError, ImportError) as error:
             remedy = "give a folder or a URL"
             raise InputError(f"{self.root} cannot be reached ({error}); {remedy}") from None
@@ -252,7 +251,7 @@ def begin(settings: Settings, chunk: Chunk) -> None:
         named.append({"id": row.id, "key": "", "files": files})
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
-    _put_records(storage, BEGUN, chunk, named, 0)
+    _put_records(storage, BEGUN, chunk, named)
 
 
 def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence[Record]) -> None:
@@ -260,21 +259,18 @@ def commit(settings: Settings, chunk: Chunk, tar: Path | None, records: Sequence
     A chunk without drawn jobs has no tar."""
     storage = Storage(settings.output)
     _check_run(storage, settings.run)
-    done = sum("error" not in record for record in records)
-    if tar is not None and done:
+    if tar is not None and not all("error" in record for record in records):
         with storage.scratch():
             _append(tar, [bytes(2 * _BLOCK)])
         storage.move(tar, f"shards/{chunk.name}.tar")
-    _put_records(storage, RECORDS, chunk, records, done)
+    _put_records(storage, RECORDS, chunk, records)
     storage.drop(f"{BEGUN}/{chunk.name}.jsonl")
 
 
-def _put_records(
-    storage: Storage, folder: str, chunk: Chunk, records: Sequence[Record], done: int
-) -> None:
+def _put_records(storage: Storage, folder: str, chunk: Chunk, records: Sequence[Record]) -> None:
     """Write a line that counts the drawn and failed jobs, then a line for each job."""
     failed = sum("error" in record for record in records)
-    head = {"chunk": chunk.number, "done": done, "failed": failed}
+    head = {"chunk": chunk.number, "done": len(records) - failed, "failed": failed}
     lines = "".join(json.dumps(entry) + "\n" for entry in (head, *records))
     storage.put(f"{folder}/{chunk.name}.jsonl", lines.encode())
 
@@ -440,7 +436,7 @@ def _finder(
                 hashes.append(hash(record["key"]))
                 numbers.append(number)
     order = np.argsort(np.asarray(hashes), kind="stable")
-    sorted_hashes, sorted_numbers = np.asarray(hashes)[order], np.asarray(numbers)[order]
+    sorted_hashes = np.asarray(hashes)[order]
 
     @lru_cache(4)
     def read(number: int) -> dict[str, Record]:
@@ -451,7 +447,7 @@ def _finder(
         index = np.searchsorted(sorted_hashes, hash(key))
         if index == len(order) or sorted_hashes[index] != hash(key):
             return None
-        return read(sorted_numbers[index]).get(key)
+        return read(numbers[order[index]]).get(key)
 
     return find
 

@@ -33,7 +33,7 @@ from facerender.batch import records
 from facerender.batch.jobs import Chunk, Record, Settings
 from facerender.batch.records import Message, Order, Storage, Work
 from facerender.errors import FacerenderError, InputError, clipped, warn
-from facerender.system.process import available, shows_bars
+from facerender.system.process import available, optional, shows_bars
 from facerender.system.signals import hold, if_ended
 
 NAMED = 5  # maximum number of failed jobs, and of workers that ended, that are named
@@ -357,17 +357,14 @@ def local(workers: int) -> Iterator[Engine]:
 def dask(address: str) -> Iterator[Engine]:
     """Yield an engine on a Dask scheduler, whose workers may join and leave. Raise InputError if
     there is no scheduler or no worker, or dask.distributed is missing."""
-    try:
-        from distributed import Client
-    except ImportError:
-        remedy = "pip install 'facerender[batch]'"
-        raise InputError(f"--scheduler {address} needs dask.distributed: {remedy}") from None
+    need = f"--scheduler {address} needs dask.distributed"
+    distributed = optional("distributed", f"{need}: pip install 'facerender[batch]'")
     # This module reports Dask's errors.
     for name in [*logging.getLogger().manager.loggerDict]:
         if name.startswith("distributed"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
     try:
-        client = Client(address, timeout=_SECONDS)
+        client = distributed.Client(address, timeout=_SECONDS)
     except (OSError, ValueError) as error:
         raise InputError(f"no scheduler at {address} ({error}); run: dask scheduler") from None
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import importlib
 import json
 import math
 import os
@@ -31,6 +30,7 @@ from facerender.scene.environment import EnvironmentFile
 from facerender.scene.light import RIGS, Light
 from facerender.scene.scene import default_lights
 from facerender.system.files import read_file, suffix_of, tables_of
+from facerender.system.process import optional
 from facerender.values.fields import Table, build, has_numbers, merged, plain
 
 # The number of the line where a row ends (None for .parquet, .toml and .py), and a function that
@@ -146,11 +146,8 @@ def _cell(name: str, text: str) -> Any:
 
 
 def _parquet(path: Path) -> Iterator[Unparsed]:
-    try:
-        parquet = importlib.import_module("pyarrow.parquet")
-    except ImportError:
-        remedy = "pip install 'facerender[batch]'"
-        raise InputError(f"{path.name} needs the package pyarrow; {remedy}") from None
+    need = f"{path.name} needs the package pyarrow"
+    parquet = optional("pyarrow.parquet", f"{need}; pip install 'facerender[batch]'")
     with path.open("rb") as file:
         try:
             table = parquet.ParquetFile(file)
@@ -224,11 +221,8 @@ _NUMBERS = {"int", "float"}
 
 def check_parquet() -> None:
     """Raise InputError if pyarrow is missing."""
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError:
-        remedy = "pip install 'facerender[batch]', or use --table jsonl"
-        raise InputError(f"jobs.parquet needs pyarrow: {remedy}") from None
+    remedy = "pip install 'facerender[batch]', or use --table jsonl"
+    optional("pyarrow", f"jobs.parquet needs pyarrow: {remedy}")
 
 
 def write_parquet(lines: Path, target: Path) -> None:
@@ -563,17 +557,14 @@ def _random(key: str, how: Any, seed: int) -> Callable[[int], Table]:
     return draw
 
 
-def _normal(mean: float, sigma: float, u: float, v: float) -> float:
-    """Return a normally distributed number from uniform u and v (Box and Muller, 1958)."""
-    return mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
-
-
 # A distribution has four arguments: the ends of its range (for "normal", mean and standard
 # deviation), then two uniform random numbers in [0, 1).
 _DISTRIBUTIONS: dict[str, Callable[[float, float, float, float], float]] = {
     "uniform": lambda low, high, u, _: (1.0 - u) * low + u * high,
     "log_uniform": lambda low, high, u, _: math.exp((1.0 - u) * math.log(low) + u * math.log(high)),
-    "normal": _normal,
+    "normal": lambda mean, sigma, u, v: (  # Box and Muller (1958)
+        mean + sigma * math.sqrt(-2.0 * math.log(1.0 - u)) * math.cos(2.0 * math.pi * v)
+    ),
 }
 _REMEDY = (
     "{ uniform = [LOW, HIGH] }, { log_uniform = [LOW, HIGH] }, { normal = [MEAN, SIGMA] }, "

@@ -17,15 +17,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from facerender import __version__
-from facerender.commands.output import (
-    EXAMPLES,
-    commands_of,
-    make_usable,
-    print_message,
-    print_result,
-    silenced,
-    usage_of,
-)
+from facerender.commands import output
 from facerender.errors import FacerenderError, FacerenderWarning, InputError, clipped, withheld
 
 COMMANDS = {
@@ -85,7 +77,7 @@ class _TrimeshAlone:
 
 def console() -> NoReturn:
     """Run the command of this process, then end the process."""
-    make_usable()
+    output.make_usable()
     sys.meta_path.insert(0, _TrimeshAlone)
     gc.set_threshold(100_000)  # saves 40 ms of a cold start, as imports leave no garbage
     status: int | str | None = 2
@@ -97,9 +89,9 @@ def console() -> NoReturn:
     except SystemExit as end:  # --help, --version
         status = end.code
     try:
-        print_result(end="")
+        output.print_result(end="")
     except FacerenderError as error:
-        print_message(f"facerender: error: {error}")
+        output.print_message(f"facerender: error: {error}")
         status = 2
     sys.exit(status)
 
@@ -111,13 +103,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Options that cannot be parsed may contain names, too.
     anonymous = any(word.startswith("--anonymous") for word in words)
     messages: list[str] = []
-    with silenced() if anonymous else nullcontext():
+    with output.silenced() if anonymous else nullcontext():
         status = _run(words, messages, _warning_printer(messages, anonymous))
     if anonymous:
         for message in messages:
-            print_message(f"facerender: warning: {message}")
+            output.print_message(f"facerender: warning: {message}")
         if status in (2, INTERNAL_ERROR):
-            print_message(f"facerender: error: {withheld(1, 'message')}")
+            output.print_message(f"facerender: error: {withheld(1, 'message')}")
     return status
 
 
@@ -134,22 +126,20 @@ def _run(words: Sequence[str], messages: list[str], show_warning: Callable[..., 
             command: Callable[[argparse.Namespace], int] = options.command
             return command(options)
         except FacerenderError as error:
-            print_message(f"facerender: error: {' '.join(str(error).split())}")
+            output.print_message(f"facerender: error: {' '.join(str(error).split())}")
             return 2
         except KeyboardInterrupt:
             return 130
         except MemoryError:
-            print_message("facerender: error: out of memory: make maps or images smaller")
+            output.print_message("facerender: error: out of memory: make maps or images smaller")
             return 2
         except Exception as error:
             if os.environ.get("FACERENDER_DEBUG"):
                 traceback.print_exception(error)
             notes = " ".join(["", *getattr(error, "__notes__", ())])  # such as the file's name
             cause = f"{type(error).__name__}: {clipped(str(error))}".removesuffix(": ") + notes
-            print_message(
-                f"facerender: error: internal error ({cause}): please report it with the traceback "
-                "that FACERENDER_DEBUG=1 prints"
-            )
+            remedy = "please report it with the traceback that FACERENDER_DEBUG=1 prints"
+            output.print_message(f"facerender: error: internal error ({cause}): {remedy}")
             return INTERNAL_ERROR
 
 
@@ -181,7 +171,7 @@ def _warning_printer(messages: list[str], anonymous: bool) -> Callable[..., None
         if issubclass(category, FacerenderWarning) and str(message) not in texts:
             texts.append(str(message))
             messages[:] = [withheld(len(texts), "warning")] if anonymous else texts
-            print_message(f"facerender: warning: {message}")
+            output.print_message(f"facerender: warning: {message}")
 
     return show
 
@@ -205,9 +195,9 @@ def parser_of(arguments: Sequence[str]) -> argparse.ArgumentParser:
 
 def _complete(name: str, command: argparse.ArgumentParser) -> None:
     """Add a usage line and examples to the help of a command and of its subcommands."""
-    command.epilog = "\n  ".join(["examples:", *EXAMPLES[name]])
-    subcommands = commands_of(command)
+    command.epilog = "\n  ".join(["examples:", *output.EXAMPLES[name]])
+    subcommands = output.commands_of(command)
     if not subcommands:
-        command.usage = usage_of(command)
+        command.usage = output.usage_of(command)
     for action, subcommand in subcommands.items():
         _complete(f"{name} {action}", subcommand)

@@ -105,9 +105,8 @@ def run(options: argparse.Namespace) -> int:
         from facerender.batch.outputs import file_faults
 
         _check_faults(table, file_faults(table.valid()))
-        print_result(
-            f"{options.anonymous or options.jobs}: {table.rows} jobs of {table.meshes} meshes"
-        )
+        name = options.anonymous or options.jobs
+        print_result(f"{name}: {table.rows} jobs of {table.meshes} meshes")
         return 0
     if options.output is None:
         raise InputError("no output: add -o FOLDER")

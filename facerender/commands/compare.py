@@ -139,13 +139,11 @@ def check_results(options: argparse.Namespace, images: Iterable[Path] = (), pair
     for name, suffixes in OUTPUTS.items():
         path = getattr(options, name)
         if path and name in ("heatmap", "sheet") and pairs > 1:
-            raise InputError(
-                f"--{name} needs two images, not folders with {pairs} pairs: leave it out"
-            )
+            problem = f"needs two images, not folders with {pairs} pairs"
+            raise InputError(f"--{name} {problem}: leave it out")
         if path and (suffix := os.path.splitext(path)[1].lower()) not in suffixes:
-            raise InputError(
-                f"--{name} {clipped(path)}: unknown format {suffix!r}; give {', '.join(suffixes)}"
-            )
+            problem = f"unknown format {suffix!r}; give {', '.join(suffixes)}"
+            raise InputError(f"--{name} {clipped(path)}: {problem}")
     if options.heatmap:
         pictures.check_flip_installed()
     written = [getattr(options, name) for name in OUTPUTS]
@@ -163,18 +161,15 @@ def calibrate(options: argparse.Namespace, mask: NDArray[Any] | None) -> int:
     pairs = runs_of(options.calibrate)
     check_results(options)
     if options.output and os.path.exists(options.output):
-        raise InputError(
-            f"{options.output} exists: write to a new file, then copy the sections of the new file "
-            f"into {options.output}"
-        )
+        remedy = "write to a new file, then copy the sections of the new file"
+        raise InputError(f"{options.output} exists: {remedy} into {options.output}")
     with progress_bar(options) as progress:
         calibrations = calibration_of(pairs, mask, progress)
     for calibration in calibrations:
         if calibration.pairs < ENOUGH:
-            warn(
-                f"pairs of {calibration.encoding} images: {calibration.pairs}, too few to cover "
-                f"the variation of your renders; give at least {ENOUGH}"
-            )
+            count = f"pairs of {calibration.encoding} images: {calibration.pairs}"
+            problem = "too few to cover the variation of your renders"
+            warn(f"{count}, {problem}; give at least {ENOUGH}")
         for text in calibration.blind:
             warn(text)
     limits = {calibration.encoding: calibration.noted for calibration in calibrations}

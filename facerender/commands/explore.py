@@ -7,14 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from facerender.commands.options import (
-    NEW_FILE,
-    SCENE,
-    SCENE_CHANGES,
-    add_options,
-    check_outputs,
-    progress_bar,
-)
+from facerender.commands import options as common
 from facerender.commands.output import print_result
 from facerender.commands.scene import files_read, job_of, plays
 from facerender.errors import InputError
@@ -34,15 +27,15 @@ def add(explore: argparse.ArgumentParser) -> None:
     )
     changes: dict[str, Any] = {"lobe": {"choices": tuple(LOBES)}, "scene": {"text": _SCENE_FILE}}
     against = {"choices": tuple(LOBES), "default": "exact"}
-    add_options(explore, _OPTIONS, **SCENE_CHANGES, **changes, against=against)
+    common.add_options(explore, _OPTIONS, **common.SCENE_CHANGES, **changes, against=against)
 
 
 _SCENE_FILE = "scene file with camera, lights, material and the shading B"
 _OPTIONS = f"""
 -o --output OUT.html | output file, which ends in .html or .htm
-    | the mesh's name with .html {NEW_FILE}
+    | the mesh's name with .html {common.NEW_FILE}
 mesh
-{SCENE}
+{common.SCENE}
 [reflectance]
 --lobe | lobe of shading B | the scene file's, otherwise {_LOBE}
 --against | lobe of shading A, against which the page measures B | exact
@@ -59,13 +52,13 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or f"{job.stem}.html"
     if len(cameras) > 1:
         raise InputError(f"the explorer opens with one camera, and there are {len(cameras)}")
-    check_outputs([output], files_read(options, job), None if options.output else output)
+    common.check_outputs([output], files_read(options, job), None if options.output else output)
     b = job.shading.term
     if options.lobe is None and options.scene is None:
         b = replace(b, lobe=_LOBE)
     # A constant m belongs to a plan of B; the exact lobe of A has no limits of m.
     a = replace(b, lobe=options.against, m=None, small_slope=None)
-    with progress_bar(options) as progress:
+    with common.progress_bar(options) as progress:
         progress("mesh", 0.0)
         # The page applies these factors itself, so that its controls can remove them.
         factors = job.material.items()

@@ -27,7 +27,6 @@ _ALWAYS = ("albedo", "m", "roughness_factor", "f0", "ks")  # listed even if they
 _NAMES_PER_LINE, _MAX_NAMES = 8, 64  # names of shapes, joints and clips in the text output
 _MAX_ROWS = 20  # rows of the table of parts in the text output
 _WIDTH = 120  # width of this table for more parts than rows, if the output is no terminal
-_HEAD_OF_TABLE = ("part", "triangles", "skin", "preset", "maps", "material")
 
 
 def add(info: argparse.ArgumentParser) -> None:
@@ -60,9 +59,8 @@ def run(options: argparse.Namespace) -> int:
         **description_of(mesh),
         "warnings": list(dict.fromkeys(str(warning.message) for warning in caught)),
     }
-    print_result(
-        json.dumps(description, indent=2) if options.json else "\n".join(_lines(description))
-    )
+    lines = [json.dumps(description, indent=2)] if options.json else _lines(description)
+    print_result(*lines)
     return 0
 
 
@@ -163,7 +161,7 @@ def _table(parts: Sequence[dict[str, Any]]) -> list[str]:
         groups.setdefault(_cells(part) if many else (part["number"],), []).append(part)
     sizes = {key: sum(part["triangles"] for part in group) for key, group in groups.items()}
     largest = sorted(groups, key=lambda key: -sizes[key])[:_MAX_ROWS]
-    rows: list[tuple[str, ...]] = [_HEAD_OF_TABLE]
+    rows: list[tuple[str, ...]] = [("part", "triangles", "skin", "preset", "maps", "material")]
     shared, remainder = [], 0
     for key, group in groups.items():
         if key not in largest:

@@ -5,15 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 
-from facerender.commands.options import (
-    BACKEND,
-    PARTS,
-    SCENE_CHANGES,
-    add_options,
-    check_outputs,
-    mesh_files,
-    progress_bar,
-)
+from facerender.commands import options as common
 from facerender.commands.output import print_message, print_result
 from facerender.commands.scene import fields_set, part_materials
 from facerender.drawing.context import BACKENDS
@@ -31,14 +23,14 @@ def add(measure: argparse.ArgumentParser) -> None:
     )
     slope = "RMS slope of the skin's microfacets; other parts keep their own"
     slopes = {"text": slope, "unset": f"{Material.m:g}", "note": "", "default": Material.m}
-    changes = SCENE_CHANGES | {"m": slopes, "output": {"default": _FOLDER}}
-    add_options(measure, _OPTIONS, **changes, backend=BACKEND | {"choices": BACKENDS})
+    changes = common.SCENE_CHANGES | {"m": slopes, "output": {"default": _FOLDER}}
+    common.add_options(measure, _OPTIONS, **changes, backend=common.BACKEND | {"choices": BACKENDS})
 
 
 _FOLDER = "out/measure"
 _OPTIONS = f"""mesh
 -o --output DIR | directory for measure.json, images and index.html | {_FOLDER}
-allow_outside {PARTS} m
+allow_outside {common.PARTS} m
 --quick | use smaller images and fewer repeats
 backend
 --json | print measure.json instead of the table
@@ -54,8 +46,8 @@ def run(options: argparse.Namespace) -> int:
     job = Job(**fields_set(options, "mesh"), material=material, parts=part_materials(options))
     folder = make_folder(options.output)
     files = [folder / name for name in (report.JSON, report.PAGE)]
-    check_outputs(files, mesh_files(job.mesh))
-    with progress_bar(options) as progress:
+    common.check_outputs(files, common.mesh_files(job.mesh))
+    with common.progress_bar(options) as progress:
         mesh = job.scene().mesh
         measurement, triptychs = measure(
             mesh, options.m, options.quick, options.backend, progress=progress

@@ -27,18 +27,8 @@ from facerender.scene.scene import Scene
 from facerender.scene.shading import Shading
 from facerender.system.files import check_writable, remove_abandoned
 from facerender.system.process import Bar
-from facerender.values.fields import (
-    SWITCH,
-    Choice,
-    IntegerRange,
-    Limits,
-    Range,
-    SizeRange,
-    VectorRange,
-    described,
-    range_of,
-)
-from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS
+from facerender.values import fields
+from facerender.values.vectors import MILLIMETRES, ROTATIONS, SHAPE_WEIGHTS
 
 WHERE = (
     f"{ORBITS}, where AZIMUTH may be a name; standard, for all seven standard views, frontal to "
@@ -84,8 +74,6 @@ _BY_NAME = {
 def add_options(command: argparse.ArgumentParser, text: str, **changes: Mapping[str, Any]) -> None:
     """Add options to a command.
 
-    Parameters
-    ----------
     text : lines of three forms; further lines of one entry are indented. ``[TITLE]`` begins or
         continues a group of options. Names without "-" stand for fields in FIELDS and for options
         in SHARED. Others are new options: ``--NAME VALUE | text | default | note``, see
@@ -126,25 +114,26 @@ def _add(group: Any, line: str, changes: Mapping[str, Mapping[str, Any]]) -> Non
         option |= {"limits": "", "bounds": ""}
     else:
         name, flags, (record, metavar) = line, [f"--{line.replace('_', '-')}"], _BY_NAME[line]
-        option = described(record, name)
+        option = fields.described(record, name)
         limits = option["limits"]
-        if limits is SWITCH:
+        if limits is fields.SWITCH:
             both = argparse.BooleanOptionalAction
             # None, not False: an option that is not given must not replace the scene file's value.
             keywords = {"default": None, "action": both if option["default"] else "store_true"}
-        elif isinstance(limits, Choice) and isinstance(next(iter(limits.names)), int):
+        elif isinstance(limits, fields.Choice) and isinstance(next(iter(limits.names)), int):
             option["bounds"] = " or ".join(option["bounds"].rsplit(", ", 1))
             keywords["type"] = number_parser(True, option["bounds"])
-        elif isinstance(limits, Choice):
+        elif isinstance(limits, fields.Choice):
             keywords["choices"] = tuple(limits.names)
         else:
             metavar = metavar or name.upper()
     for key, value in changes.get(name, {}).items():
         (option if key in ("text", "unset", "note", "limits") else keywords)[key] = value
     limits, bounds = option["limits"], option["bounds"] or str(option["limits"])
-    unit = limits.unit if isinstance(limits, Limits) else ""
-    if isinstance(limits, Range) and not isinstance(limits, VectorRange | SizeRange):
-        keywords["type"] = number_parser(isinstance(limits, IntegerRange), bounds)
+    unit = limits.unit if isinstance(limits, fields.Limits) else ""
+    has_parts = isinstance(limits, fields.VectorRange | fields.SizeRange)
+    if isinstance(limits, fields.Range) and not has_parts:
+        keywords["type"] = number_parser(isinstance(limits, fields.IntegerRange), bounds)
     if "choices" in keywords:
         bounds = ""
     elif metavar := keywords.get("metavar", metavar):
@@ -190,26 +179,27 @@ MESH | mesh file: {", ".join([*FORMATS][:-1])} or {[*FORMATS][-1]} | the built-i
     'lash*,alpha=blend,opacity=0.8'. Factors are the fields of Material; presets:
     {", ".join(PRESETS)}
 --camera CAMERA | camera; repeat for several views | front | Give {WHERE}. Ranges: azimuth
-    {range_of(Camera, "azimuth")}, elevation {range_of(Camera, "elevation")}, zoom
-    {range_of(Camera, "zoom")}
+    {fields.range_of(Camera, "azimuth")}, elevation {fields.range_of(Camera, "elevation")}, zoom
+    {fields.range_of(Camera, "zoom")}
 --weight NAME=WEIGHT | weight of a shape; repeat for others | {_LISTED}
 --joint NAME=X,Y,Z | angles of a joint about x, y and z; repeat for others | {_LISTED}
 --light LIGHT | light; repeat for several lights | key, rim, fill; none with --environment
     | Give {", ".join(LIGHTS)}, AZIMUTH,ELEVATION[,IRRADIANCE] in degrees, or
     point:X,Y,Z[,IRRADIANCE] in mesh units. IRRADIANCE is E or R,G,B,
-    {range_of(Light, "irradiance")}. Append ,radius=DEGREES, {range_of(Light, "radius")}, for the
-    angular radius of an area light, ,no-shadow for a light without shadows, and ,follow for a light
-    that follows the camera: its angles are then relative to the camera's
+    {fields.range_of(Light, "irradiance")}. Append ,radius=DEGREES,
+    {fields.range_of(Light, "radius")}, for the angular radius of an area light, ,no-shadow for a
+    light without shadows, and ,follow for a light that follows the camera: its angles are then
+    relative to the camera's
 --lights RIG | named lights: {" or ".join(RIGS)} | as --light
     | softbox has two large soft lights at 45 degrees and a fill light, which follow the camera
 --mm-per-pixel MM | side of a pixel of orthographic views | the framed region fits
     | Requires the length of a mesh unit: see --millimetres
 --shadows | shadows of all lights and of the environment map | as each light specifies
 --environment FILE[,ROTATION[,SCALE]] | environment map: .hdr, .exr, .npy, .npz or {STUDIO} | none
-    | ROTATION is {range_of(EnvironmentFile, "rotation")}; SCALE, a factor on the radiance, is
-    {range_of(EnvironmentFile, "scale")}. An environment map replaces the default lights and the
-    default ambient light. Requires pip install 'facerender[hdr]' for .hdr, 'facerender[exr]' for
-    .exr
+    | ROTATION is {fields.range_of(EnvironmentFile, "rotation")}; SCALE, a factor on the radiance,
+    is {fields.range_of(EnvironmentFile, "scale")}. An environment map replaces the default lights
+    and the default ambient light. Requires pip install 'facerender[hdr]' for .hdr,
+    'facerender[exr]' for .exr
 --scene FILE.toml | scene file with camera, lights, material and shading | none
 """
     )
@@ -245,7 +235,7 @@ SCENE_CHANGES: dict[str, dict[str, Any]] = {
     "joint": _APPENDED | {"limits": ROTATIONS},
     "shadows": {"action": argparse.BooleanOptionalAction},
     "lights": {"choices": tuple(RIGS)},
-    "mm_per_pixel": {"limits": Range(1e-6, 1e6, "mm")},
+    "mm_per_pixel": {"limits": MILLIMETRES},
     "time": {"unset": "the whole clip"},
     "vertices": {"text": "vertex positions, all frames or one"},
     "m": {
@@ -287,21 +277,12 @@ def check_outputs(
     read: Iterable[str | Path | None] = (),
     default: str | None = None,
 ) -> None:
-    """Check the output files of a command before it starts to work.
+    """Check the output files of a command before it starts to work. Raise InputError if an output
+    file cannot be written, appears twice, or is also an input file, for example through a link.
 
-    The function also deletes unfinished files of killed commands in the directories of the output
-    files.
-
-    Parameters
-    ----------
     written : output files; None is ignored
     read : input files; the iterable is used only if an output file already exists
     default : name of the output without -o, which replaces no file; None with -o
-
-    Raises
-    ------
-    InputError : an output file cannot be written, appears twice, or is also an input file; the
-        paths may differ, for example through a link
     """
     paths = [path for path in written if path]
     if default and (existing := [*filter(os.path.lexists, paths)]):

@@ -29,12 +29,7 @@ def make_usable() -> None:
 
 
 def print_result(*lines: object, end: str = "\n") -> None:
-    """Print results.
-
-    Raises
-    ------
-    FacerenderError : standard output cannot be written
-    """
+    """Print results. Raise FacerenderError if standard output cannot be written."""
     with _reported():
         _print("\n".join(map(str, lines)) + end, sys.stdout)
 
@@ -52,9 +47,8 @@ def _reported() -> Iterator[None]:
         yield
     except OSError as error:
         _mute(sys.stdout)
-        raise FacerenderError(
-            f"cannot write standard output: {reason(error)}; redirect it to another place"
-        ) from None
+        problem = f"cannot write standard output: {reason(error)}"
+        raise FacerenderError(f"{problem}; redirect it to another place") from None
 
 
 @contextmanager
@@ -140,22 +134,13 @@ EXAMPLES = {
 
 
 class Help(str):
-    """Help text of an option: "text, values (default). Note."
+    """Help text of an option: "text, values (default). Note."."""
 
-    Attributes
-    ----------
-    text : effect of the option
-    default : value without the option, or "required"
-    values : range, such as "0 to 20"; "" for a file, a switch or a choice
-    note : further sentences, without the period at the end
-    unit : unit of the values
-    """
-
-    text: str
-    default: str
-    values: str
-    note: str
-    unit: str
+    text: str  # effect of the option
+    default: str  # value without the option, or "required"
+    values: str  # range, such as "0 to 20"; "" for a file, a switch or a choice
+    note: str  # further sentences, without the period at the end
+    unit: str  # unit of the values
 
     def __new__(
         cls, text: str, default: str, values: str = "", note: str = "", unit: str = ""

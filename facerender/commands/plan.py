@@ -7,16 +7,8 @@ import json
 import math
 import time
 
-from facerender.commands.options import (
-    BACKEND,
-    BUDGET,
-    SCENE,
-    SCENE_CHANGES,
-    SIDE,
-    add_options,
-    check_outputs,
-    progress_bar,
-)
+from facerender.commands import options as common
+from facerender.commands.options import SIDE
 from facerender.commands.output import print_message, print_result
 from facerender.commands.scene import files_read, job_of, load, parse_sizes
 from facerender.drawing.context import BACKENDS
@@ -35,28 +27,28 @@ def add(plan: argparse.ArgumentParser) -> None:
         "error at every pixel, or at a fraction of the pixels, stays within the budget. The\n"
         "reference has the exact lobe and all terms, maps, samples and triangles."
     )
-    add_options(
+    common.add_options(
         plan,
         _OPTIONS,
-        **SCENE_CHANGES | {"within": SCENE_CHANGES["within"] | {"default": "100%"}},
+        **common.SCENE_CHANGES | {"within": common.SCENE_CHANGES["within"] | {"default": "100%"}},
         budget={"required": True, "limits": "at least 0"},
         cost={"default": "frame"},
         size={"unset": SIDE, "note": _SIZES, "metavar": "N|WxH|FROM..TO", "default": SIDE},
         exposure={"text": "exposure of the display", "default": Output.exposure},
         target={"choices": (*TARGETS, *LANGUAGES)},
-        backend=BACKEND | {"choices": BACKENDS},
+        backend=common.BACKEND | {"choices": BACKENDS},
     )
 
 
 _SIZES = "FROM..TO, such as 512..1024, also measures sizes between both ends"
 _OPTIONS = f"""mesh
 [search]
---budget ERROR | largest error of the planned frame | required | {BUDGET}
+--budget ERROR | largest error of the planned frame | required | {common.BUDGET}
 --cost COST | cost to minimise | frame | frame is the time of whole frames, drawn in turns with the
     full frame. Other values are the cost of a fragment, and leave samples and triangles unchanged:
     llvmpipe, navi21 (RDNA2) and vega10 (GCN5) from a table; auto is llvmpipe if the CPU draws,
     otherwise navi21; here is measured on this machine
-{SCENE}
+{common.SCENE}
 [where the error is measured]
 size samples exposure backend
 [results]
@@ -80,13 +72,13 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--target {options.target} has no shader: add --emit OUT.glsl")
     job, cameras = job_of(options, sizes[-1])
     outputs = [options.emit, options.save_scene, options.error_map]
-    check_outputs(outputs, files_read(options, job))
+    common.check_outputs(outputs, files_read(options, job))
     if options.error_map and not options.error_map.lower().endswith(".png"):
         raise InputError(f"--error-map {options.error_map}: give a .png")
     scene = load(job)
     # A bar, --verbose and --quiet need no announcement.
     silent = not (options.quiet or options.verbose or shows_bars(quiet=False))
-    with progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
+    with common.progress_bar(options) as progress, Renderer.of(job, options.backend) as renderer:
         planned = plan(
             scene,
             options.budget,
@@ -121,8 +113,7 @@ def _announced(progress: Progress) -> Progress:
         progress(step, fraction)
         if time.monotonic() > end:
             end = math.inf
-            print_message(
-                "facerender: planning may take minutes, fewer with --light key and fewer --parts"
-            )
+            remedy = "fewer with --light key and fewer --parts"
+            print_message(f"facerender: planning may take minutes, {remedy}")
 
     return report

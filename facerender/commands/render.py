@@ -17,27 +17,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from facerender.commands.options import (
-    BACKEND,
-    BUDGET,
-    NEW_FILE,
-    SCENE,
-    SCENE_CHANGES,
-    SIDE,
-    add_options,
-    check_outputs,
-    step_log,
-)
+from facerender.commands import options as common
+from facerender.commands import scene as scenes
 from facerender.commands.output import print_bytes, print_message, print_result
-from facerender.commands.scene import (
-    check_inputs,
-    fields_set,
-    files_read,
-    job_of,
-    load,
-    plays,
-    sequence,
-)
 from facerender.drawing.context import BACKENDS
 from facerender.drawing.frame import IMAGE_FORMATS, NO_SCALE, Frame
 from facerender.drawing.renderer import Renderer
@@ -61,32 +43,24 @@ _PIXEL_BYTES = 32  # memory per pixel of a sheet: 16 for linear RGBA, up to 16 t
 
 
 class Destination(NamedTuple):
-    """The output files of a command.
+    """The output files of a command."""
 
-    files : file names, or STANDARD_OUTPUT alone
-    layout : "each" for one file per image, "moving" for one animation, "sheet" for one image with
-        all images in a grid
-    output : settings of the images; the suffix of its path is their format
-    """
-
-    files: tuple[str, ...]
+    files: tuple[str, ...]  # file names, or STANDARD_OUTPUT alone
+    # A file per image, one animation, or one image with all images in a grid.
     layout: Literal["each", "moving", "sheet"]
-    output: Output
+    output: Output  # settings of the images; the suffix of its path is their format
 
 
 def destination(
     options: argparse.Namespace, path: str, names: Sequence[str], transparent: bool, fps: float
 ) -> Destination:
-    """Return the destination of images, before the first image is drawn.
+    """Return the destination of images, before the first image is drawn. Raise InputError if the
+    path, or an option, does not fit these images.
 
     path, names : output of the command, and the names of the images
     fps : images per second, if they are an animation
-
-    Raises
-    ------
-    InputError : the path, or an option, does not fit these images
     """
-    output = Output("image.png", **fields_set(options, "outputs")["outputs"])
+    output = Output("image.png", **scenes.fields_set(options, "outputs")["outputs"])
     result = Destination((path,), "sheet" if options.sheet else "each", output)
     name = f"image.{options.format or 'png'}"
     if path == STANDARD_OUTPUT:
@@ -94,9 +68,8 @@ def destination(
             count = f"takes one image, and there are {len(names)}"
             raise InputError(f"-o - {count}: give --sheet or a file")
     elif options.format is not None:
-        raise InputError(
-            f"--format {options.format} is for -o - only: the file name sets the format"
-        )
+        remedy = "the file name sets the format"
+        raise InputError(f"--format {options.format} is for -o - only: {remedy}")
     elif not options.sheet and _moves(path, len(names)):
         result = result._replace(layout="moving")
     else:
@@ -168,12 +141,9 @@ def _moves(path: str, count: int) -> bool:
 
 
 def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the file name of each image.
-
-    {index} becomes the image's index (from 000) in at least three digits, or as many as in
-    {index:04d}, and {name} the image's name. If out.png has neither of these fields, several images
-    are named out_000.png and so on.
-    """
+    """Return the file name of each image. {index} becomes the image's index (from 000) in at least
+    three digits, or as many as in {index:04d}, and {name} the image's name. If out.png has neither
+    of these fields, several images are named out_000.png and so on."""
     if not _FIELD.search(pattern) and len(names) > 1:
         pattern = "{}_{{index}}{}".format(*os.path.splitext(pattern))
     digits = max(3, len(str(len(names) - 1)))
@@ -193,10 +163,8 @@ def file_names(pattern: str, names: Sequence[str]) -> tuple[str, ...]:
 
 
 def check_sheet(count: int, size: tuple[int, int], memory: float | None) -> None:
-    """Raise InputError if a sheet of images is too large.
-
-    memory : limit of the process's memory in MiB; None for the free memory of the system
-    """
+    """Raise InputError if a sheet of images is too large. ``memory`` is the limit of the process's
+    memory in MiB; None for the free memory of the system."""
     columns, rows = _grid(count)
     width, height = columns * size[0], rows * size[1]
     memory_limit = min(limit(memory), MAX_BYTES / MIB)
@@ -242,36 +210,36 @@ def add(render: argparse.ArgumentParser) -> None:
         "image. Several cameras, or the frames of a clip, give several files, an animation\n"
         "or a sheet. Options override a scene file."
     )
-    add_options(
+    common.add_options(
         render,
         _OPTIONS,
-        **SCENE_CHANGES,
+        **common.SCENE_CHANGES,
         budget={"limits": "at least 0"},
         lobe={"choices": tuple(LOBES)},
         target={"dest": "looked_at"},
-        size={"unset": f"{SIDE}, or the size in the camera file"},
+        size={"unset": f"{common.SIDE}, or the size in the camera file"},
         exposure={"default": Output.exposure},
         tone={"default": Output.tone},
         format={"choices": IMAGE_FORMATS},
         fps={"limits": Range(*FRAME_RATES)},
         memory={"limits": MEMORY},
-        backend=BACKEND | {"choices": BACKENDS},
+        backend=common.BACKEND | {"choices": BACKENDS},
     )
 
 
 _OPTIONS = f"""
 -o --output OUT | output file: .png, .tif, .jpg or .webp (sRGB), .exr (linear float32), or - for
-    standard output | the mesh's name with .png {NEW_FILE} | Several views write OUT_000.png and so
-    on, or replace {{index}} and {{name}} in OUT; a .gif, .webp or .mp4 holds all views. Requires
-    pip install 'facerender[exr]' for .exr, 'facerender[mp4]' for .mp4
+    standard output | the mesh's name with .png {common.NEW_FILE} | Several views write OUT_000.png
+    and so on, or replace {{index}} and {{name}} in OUT; a .gif, .webp or .mp4 holds all views.
+    Requires pip install 'facerender[exr]' for .exr, 'facerender[mp4]' for .mp4
 mesh
-{SCENE}
+{common.SCENE}
 [reflectance]
 lobe outside
 [scene]
 target mm-per-pixel triangles
 [planned frame]
---budget ERROR | largest error of a cheaper frame to plan and render | none | {BUDGET}
+--budget ERROR | largest error of a cheaper frame to plan and render | none | {common.BUDGET}
 [image]
 size samples exposure tone bits dpi scale_bar only alpha_threshold
 --format | format of -o - | png
@@ -288,10 +256,8 @@ anonymous id quiet verbose
 def _scenes(
     scene: Scene, poses: Sequence[Pose], cameras: Sequence[Camera], previous_pose: Pose | None
 ) -> Iterator[Scene]:
-    """Yield the scene in each pose, for each camera.
-
-    previous_pose : pose before the first pose if motion is drawn, else None
-    """
+    """Yield the scene in each pose, for each camera. If motion is drawn, ``previous_pose`` is the
+    pose before the first one, else None."""
     previous_scene = (
         replace(scene, mesh=posed(scene.mesh, previous_pose)) if previous_pose else None
     )
@@ -321,9 +287,8 @@ def _check(options: argparse.Namespace, output: str, playing: bool, cameras: int
             "FILE,FRAME), or for all frames a .gif, an .mp4 or {index} in the name"
         )
     if options.fps is not None and not (playing or (cameras > 1 and _moves(output, cameras))):
-        raise InputError(
-            f"--fps {options.fps:g} is for a .gif, .webp or .mp4 of several views, or a clip, only"
-        )
+        files = "a .gif, .webp or .mp4 of several views, or a clip, only"
+        raise InputError(f"--fps {options.fps:g} is for {files}")
     if playing and cameras > 1:
         raise InputError(f"a clip has one view, and there are {cameras}: give one --camera")
     if options.budget is not None and (playing or cameras > 1):
@@ -336,29 +301,31 @@ def _check(options: argparse.Namespace, output: str, playing: bool, cameras: int
 
 def run(options: argparse.Namespace) -> int:
     """Draw and write the images of a command line, and print their names."""
-    job, cameras = job_of(options, ImageSettings(options.size).size if options.size else None)
-    check_inputs(job)
+    size = ImageSettings(options.size).size if options.size else None
+    job, cameras = scenes.job_of(options, size)
+    scenes.check_inputs(job)
     output = options.output or f"{job.stem}.png"
-    playing = plays(options, job.pose)
+    playing = scenes.plays(options, job.pose)
     _check(options, output, playing, len(cameras))
-    step = step_log(options)
+    step = common.step_log(options)
     # The mesh is loaded and dressed once; each frame of a clip then only moves it.
     unposed_job = replace(job, pose=Pose(), before=Pose())
     poses = [job.pose]
 
     def loaded() -> Scene:
         step("mesh")
-        return load(unposed_job, not options.no_cache, ahead=options.memory is None)
+        return scenes.load(unposed_job, not options.no_cache, ahead=options.memory is None)
 
     scene = loaded() if playing else None  # the number of frames depends on the mesh
     if scene is not None:
-        poses = sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
+        poses = scenes.sequence(job.pose, scene.mesh, options.fps or CLIP_FPS)
     names = [f"frame_{number:03d}" for number in range(len(poses))] if playing else [*cameras]
     fps = (CLIP_FPS if playing else FPS) if options.fps is None else options.fps
     target = destination(options, output, names, job.background is None, fps)
     written = [] if output == STANDARD_OUTPUT else target.files
     # Before the mesh is loaded and the context is created, which take longer than all checks.
-    check_outputs(written, files_read(options, job), None if options.output else output)
+    default = None if options.output else output
+    common.check_outputs(written, scenes.files_read(options, job), default)
     scene = scene or loaded()
     step(f"OpenGL context for {scene.mesh!r}")
     width, height = job.image.size

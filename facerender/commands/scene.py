@@ -41,7 +41,7 @@ from facerender.scene.scene import Scene
 from facerender.system.files import check_file
 from facerender.texture.texture import Kind
 from facerender.values.fields import build, merged
-from facerender.values.vectors import axes_of, numbers_in
+from facerender.values.vectors import MILLIMETRES, axes_of, numbers_in
 
 # Keys of a scene file's shading that a plan may have set, each with the options that it pins.
 _PINS = {
@@ -84,6 +84,8 @@ def job_of(
 
     size : image size; None for the size of the first camera, or else the default size
     """
+    if (side := getattr(options, "mm_per_pixel", None)) is not None:
+        MILLIMETRES.check("mm_per_pixel", side)
     if options.m is not None and options.roughness_map is not None:
         raise InputError("--m and --roughness-map exclude each other: leave one of them out")
     file = load_scene(options.scene) if options.scene else {}

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from io import BytesIO
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from facerender.comparison.sources import Comparable, as_image, both, decimal
 from facerender.drawing.frame import Frame
 from facerender.errors import InputError, check_range, quoted
-from facerender.images.animation import arranged
+from facerender.images.animation import arranged, text_band
 from facerender.images.image import Encoding, ImageData, encode_srgb8, srgb_to_linear
 
 if TYPE_CHECKING:
@@ -227,7 +228,7 @@ def difference(reference: Comparable, image: Comparable, *, gain: float | None =
     pixels = _painted(a, b, np.clip(signed / white, -1.0, 1.0), colors)
     unit = "" if a.encoding == "linear" else "/255"
     title = f"B - A: orange +, blue -, white = {decimal(white, 3)}{unit}"
-    frame = picture(pixels, {"difference": title})
+    frame = _frame(pixels, {"difference": title})
     return _Difference(**vars(frame), pair=(a, b), gain=gain if signed.any() else math.inf)
 
 
@@ -293,7 +294,7 @@ def sheet(
         texts[n] = text if scale in text or not text else f"{text}, {scale}"
     if columns is not None:
         check_range("columns", columns, 1, len(cells))
-    return picture(arranged(cells, texts, columns), {})
+    return _frame(arranged(cells, texts, columns), {})
 
 
 def side_by_side(reference: Comparable, image: Comparable) -> Frame:
@@ -306,7 +307,7 @@ def side_by_side(reference: Comparable, image: Comparable) -> Frame:
     return sheet([a, b, frame], ["A", "B", frame.metadata["difference"]])
 
 
-def picture(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:
+def _frame(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:
     """Return 8-bit sRGB pixels (H, W, 3) as an opaque frame, whose ``srgb8()`` are these pixels."""
     radiance = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
     linear = np.ones((*pixels.shape[:2], 4), dtype=np.float32)
@@ -314,6 +315,7 @@ def picture(pixels: NDArray[np.uint8], metadata: dict[str, str]) -> Frame:
     return Frame(linear, None, False, metadata)
 
 
+_STEEP, _OUTLIERS = 1.5, 0.02  # slope of surfaces that do not face the camera; percent of pixels
 OUTWARDS, INWARDS = (214, 47, 39), (69, 117, 180)  # colours of a surface that moved
 
 
@@ -323,38 +325,67 @@ def changes(
     titles: Sequence[str],
     pixel: float,
     unit: str,
-) -> Bytes:
+) -> tuple[Bytes, tuple[float, float]]:
     """Return a sheet (H, W, 3) of how far a surface moved between two images each, in colours of
-    one scale: red outwards, blue inwards, and the full colour where only one of the images shows
-    the surface. The last cell is the scale.
+    one scale: red outwards, blue inwards, and the full colour where one image shows a surface, and
+    the other shows none nearby. The last cell is the scale. Return also the smallest and the
+    largest distance of surfaces that face the camera, without a few outliers.
 
     pairs : heights (h, w) of the surface before and after, towards the camera; NaN for none
     images : (h, w, 3), whose brightness shades the colours
     pixel, unit : side of a pixel, in the unit of the heights; name of this unit
     """
-    moved, distances = [], [np.zeros(1)]
+    moved, low, high = [], 0.0, 0.0
     for before, after in pairs:
         # The distance of two parallel planes is their difference of height times the cosine of
-        # their slope.
+        # their slope. Where one surface hides another, or ends, the nearest point counts.
         slopes = [np.hypot(*np.gradient(relief, pixel)) for relief in (before, after)]
         change = (after - before) / np.hypot(1.0, np.maximum(*slopes))
-        distances.append(np.abs(change[np.isfinite(change)]))
-        change[np.isnan(before) & ~np.isnan(after)] = np.inf
-        change[np.isnan(after) & ~np.isnan(before)] = -np.inf
+        vanished = np.isnan(after)
+        change[np.isnan(before) & ~vanished], change[vanished & ~np.isnan(before)] = np.inf, -np.inf
+        for query, goal, chosen in ((after, before, ~vanished), (before, after, vanished)):
+            rows, columns = np.nonzero(chosen & (np.abs(change) > 2.0 * pixel))
+            nearest = _nearest(query[rows, columns], rows, columns, goal, pixel)
+            far = change[rows, columns]
+            change[rows, columns] = np.sign(far) * np.fmin(np.abs(far), nearest)
+        facing = change[np.isfinite(change) & (np.fmax(*slopes) < _STEEP)]
+        if facing.size:
+            ends = np.percentile(facing, (_OUTLIERS, 100.0 - _OUTLIERS)).tolist()
+            low, high = min(low, ends[0]), max(high, ends[1])
         moved.append(change)
-    largest = max(float(np.percentile(np.concatenate(distances), _FITTED)), 1e-3 * pixel)
+    largest = max(-low, high, 1e-3 * pixel)
     step = 10.0 ** math.floor(math.log10(largest))
     scale = next(
         step * factor for factor in (1.0, 2.0, 5.0, 10.0) if step * factor >= 0.99 * largest
     )
     cells = []
     for change, image in zip(moved, images, strict=True):
-        shade = 0.4 + 0.6 * image.mean(axis=-1, keepdims=True) / 255.0
+        shade = 0.6 + 0.4 * image.mean(axis=-1, keepdims=True) / 255.0
         cells.append(np.round(shade * _diverging(change / scale)).astype(np.uint8))
     height, width = moved[0].shape
-    bar = np.repeat(_diverging(np.linspace(1.0, -1.0, height)[:, None]), width, axis=1)
-    legend = f"red: {scale:g} {unit} outwards, blue: inwards"
-    return arranged([*cells, bar.astype(np.uint8)], [*titles, legend])
+    texts = (f"{scale:g} {unit} outwards", f"{scale / 2:g} {unit}", "0", f"-{scale / 2:g} {unit}")
+    bands = []
+    for number, text in enumerate((*texts, f"{scale:g} {unit} inwards")):
+        label = text_band(text, width)[: height // 5]
+        color = np.full((height // 5 - len(label), width, 3), _diverging(np.array(1 - number / 2)))
+        bands += [label, color.astype(np.uint8)]
+    legend = np.full((height, width, 3), 255, dtype=np.uint8)
+    legend[: height // 5 * 5] = np.concatenate(bands)
+    return arranged([*cells, legend], [*titles, "scale"]), (low, high)
+
+
+def _nearest(heights: Relief, rows: Any, columns: Any, relief: Relief, pixel: float) -> Relief:
+    """Return the distances (N,) of points at pixels from the nearest point of a relief that lies
+    within 1/48 of its height; NaN if there is none."""
+    step = max(len(relief) / 48.0 / 8.0, 1.0)
+    offsets = np.unique(np.round(step * np.arange(-8, 9)).astype(int))
+    padded = np.pad(relief, offsets[-1], constant_values=np.nan)
+    nearest = np.full(len(rows), np.nan)
+    for down, across in product(offsets, offsets):
+        goal = padded[rows + offsets[-1] + down, columns + offsets[-1] + across]
+        away = np.hypot(pixel * math.hypot(down, across), goal - heights)
+        nearest = np.fmin(nearest, away)
+    return nearest
 
 
 def _diverging(values: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -3,8 +3,7 @@ compiled frame draws its passes for any camera, and for any pose of its mesh. Fo
 
 1. computes what depends on the view: bounds, triangles that face the camera, blended triangles in
    order, and the uniforms of the camera
-2. uploads all of this, and a changed pose, before the first draw: an upload between two draws waits
-   for the first one
+2. uploads all of this, and a changed pose, before the first draw: a later upload waits for draws
 3. replays the draws, and skips passes whose target still holds their image
 
 Uniforms belong to a program, which several draws may share. A uniform that is equal in all draws of
@@ -20,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
-from numpy.typing import NDArray
 
-from facerender.drawing.program import ENVIRONMENT_MAP, Draw, Order, Pass, Target
+from facerender.drawing.program import ENVIRONMENT_MAP, Draw, Order, Pass, Target, Uniforms
 from facerender.drawing.resources import OF_TABLE, Canvas, CompiledProgram, Resources, Uploaded
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Area, TriangleSetup, areas_of
 from facerender.scene.view import View
+from facerender.values.vectors import Float, Float32, Size
 
 if TYPE_CHECKING:
     from facerender.scene.environment import Panorama
@@ -102,7 +101,7 @@ class CompiledFrame:
         self,
         resources: Resources,
         passes: Sequence[Pass],
-        size: tuple[int, int],
+        size: Size,
         panorama: Panorama | None = None,
         inputs: Mapping[str, moderngl.Texture] = {},
     ) -> None:
@@ -120,16 +119,14 @@ class CompiledFrame:
         orders = {(p.index, draw.order) for p, draw in draws if isinstance(draw.order, str)}
         self._facing = sorted(index for index, order in orders if order == "facing")
         self._sorted = sorted(index for index, order in orders if order == "sorted")
-        used = {area for one in passes for area in (one.area, *(draw.area for draw in one.draws))}
         marked = sorted({part.index for part, draw in draws if draw.depth == "marked"})
-        groups = {"blended": self._sorted, "opaque": marked}
-        self._groups = {name: group for name, group in groups.items() if name in used}
+        self._groups = {"blended": self._sorted, "opaque": marked}
         self._uploaded: dict[int, Uploaded] = {}
-        self._bounds: tuple[Any, NDArray[np.float64]] = (None, np.empty(0))
+        self._bounds: tuple[Any, Float] = (None, np.empty(0))
 
     # --- compiling -------------------------------------------------------------------------------
 
-    def _compile(self, setups: Sequence[TriangleSetup], blended: Area) -> None:
+    def _compile(self, setups: list[TriangleSetup], blended: Area) -> None:
         """Look up all OpenGL objects. For errors see :meth:`draw`.
 
         blended : bounds of the blended parts
@@ -138,7 +135,7 @@ class CompiledFrame:
         textures = dict(self.inputs)
         if self.panorama is not None:
             textures[ENVIRONMENT_MAP] = resources.panorama(self.panorama)
-        users: dict[CompiledProgram, list[tuple[_Call, Mapping[str, Any]]]] = {}
+        users: dict[CompiledProgram, list[tuple[_Call, Uniforms]]] = {}
         for render_pass in self.passes:
             target = sized(render_pass.target, self.size)
             canvas, single = resources.target(target, blended), None
@@ -167,10 +164,9 @@ class CompiledFrame:
         draw: Draw,
         render_pass: Pass,
         program: CompiledProgram,
-        setups: Sequence[TriangleSetup],
+        setups: list[TriangleSetup],
         textures: Mapping[str, moderngl.Texture],
     ) -> _Call:
-        """Return the call of a draw."""
         part, array, bound = draw.part, program.screen, dict(textures)
         if part is not None:
             setup = setups[part.index]
@@ -181,24 +177,16 @@ class CompiledFrame:
         flags = moderngl.DEPTH_TEST | moderngl.BLEND * (render_pass.added or blended)
         flags |= moderngl.CULL_FACE * (draw.double_sided is False)
         factor = moderngl.ONE_MINUS_SRC_ALPHA if blended else moderngl.ONE
-        names = enumerate(program.samplers)
+        order = draw.order if isinstance(draw.order, str) else None
         area: Any = draw.area or (0, 0, *(render_pass.target.size or self.size))
-        return _Call(
-            array,
-            part.index if part else -1,
-            draw.order if isinstance(draw.order, str) else None,
-            part.index if part and area == "part" else area,
-            (*_STATES[draw.depth], flags, factor),
-            3 if array is program.screen else -1,
-            "TO_COVERAGE" in " ".join(draw.program.features),
-            [(bound[name], unit) for unit, name in names if name in bound],
-        )
+        area = part.index if part and area == "part" else area
+        state, count = (*_STATES[draw.depth], flags, factor), 3 if array is program.screen else -1
+        covers = "TO_COVERAGE" in " ".join(draw.program.features)
+        units = [(bound[name], i) for i, name in enumerate(program.samplers) if name in bound]
+        return _Call(array, part.index if part else -1, order, area, state, count, covers, units)
 
-    def _share(
-        self, program: CompiledProgram, users: Sequence[tuple[_Call, Mapping[str, Any]]]
-    ) -> None:
-        """Sort the uniforms of a program into three kinds: uniforms of the camera, equal in all
-        draws, and different from draw to draw."""
+    def _share(self, program: CompiledProgram, users: Sequence[tuple[_Call, Uniforms]]) -> None:
+        """Sort the uniforms of a program: of the camera, equal in all draws, and different ones."""
         for unit, sampler in enumerate(program.samplers.values()):
             self._constant.append((sampler, struct.pack("i", unit)))
         for name, uniform in program.uniforms.items():
@@ -208,10 +196,8 @@ class CompiledFrame:
                     self._camera.setdefault(name, []).append(uniform)
                 continue
             first = pairs[0][1]
-            if all(value is first for _, value in pairs):
-                self._constant.append((uniform, _packed(uniform, first)))
-                continue
-            packed = [_packed(uniform, value) for _, value in pairs]
+            shared = all(value is first for _, value in pairs)
+            packed = [_packed(uniform, value) for _, value in (pairs[:1] if shared else pairs)]
             if packed.count(packed[0]) == len(packed):
                 self._constant.append((uniform, packed[0]))
                 continue
@@ -220,7 +206,7 @@ class CompiledFrame:
 
     # --- drawing ---------------------------------------------------------------------------------
 
-    def draw(self, view: View, mesh: Mesh) -> list[NDArray[np.float32]]:
+    def draw(self, view: View, mesh: Mesh) -> list[Float32]:
         """Draw all passes for a camera and a pose, and return their results, (H, W, channels) each;
         see ``Pass.results``. The context must be current.
 
@@ -272,9 +258,7 @@ class CompiledFrame:
             for index in step.source.results
         ]
 
-    def _upload(
-        self, view: View, setups: Sequence[TriangleSetup]
-    ) -> tuple[_Counts, dict[int, float]]:
+    def _upload(self, view: View, setups: list[TriangleSetup]) -> tuple[_Counts, dict[int, float]]:
         """Upload a changed pose and the triangles that depend on the view. Return the number of
         chosen triangles, by part and order, and the nearest depth of blended parts."""
         counts: _Counts = {}
@@ -298,7 +282,6 @@ class CompiledFrame:
     def _replay(
         self, step: _Step, areas: Mapping[Any, Area], counts: _Counts, nearest: Mapping[int, float]
     ) -> None:
-        """Draw a pass into its target."""
         gl, framebuffer = self.resources.context.gl, step.canvas.framebuffer
         target, calls, clear = step.source.target, step.calls, step.source.clear
         if step.blends.stop - step.blends.start > 1:
@@ -369,22 +352,21 @@ def _bind_once(calls: Sequence[_Call]) -> None:
         call.textures = [(t, unit) for t, unit in call.textures if before.get(unit) is not t]
 
 
-def read(target: moderngl.Framebuffer, index: int, channels: int) -> NDArray[np.float32]:
+def read(target: moderngl.Framebuffer, index: int, channels: int) -> Float32:
     """Return an image (H, W, channels) of a framebuffer that has no multisampling."""
     pixels = np.empty((target.height, target.width, channels), dtype=np.float32)
     target.read_into(pixels, components=channels, attachment=index, dtype="f4")
     return pixels
 
 
-def sized(target: Target, size: tuple[int, int]) -> Target:
+def sized(target: Target, size: Size) -> Target:
     """Return a target with an explicit size, which is the frame's unless it has one."""
     below = target.depth_of and sized(target.depth_of, size)
     return replace(target, size=target.size or size, depth_of=below)
 
 
 def _packed(uniform: Any, value: Any) -> bytes:
-    """Return the bytes of a uniform's value. The compiler shortens an array if the program does not
-    read the last elements."""
+    """Return the bytes of a value. Compilers shorten arrays whose last elements are unread."""
     if isinstance(value, np.ndarray):
         size = uniform.array_length * uniform.element_size
         return value.astype(np.float32).tobytes()[:size]
@@ -392,7 +374,7 @@ def _packed(uniform: Any, value: Any) -> bytes:
     return struct.pack(uniform.fmt, *values)
 
 
-def _rays(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
+def _rays(view: View, size: Size) -> Float32:
     """Return the columns of a matrix: the ray from the camera to the outer corner of pixel (0, 0),
     and the change of the ray per pixel in x and y. The parallel rays of an orthographic camera
     differ in their starts, which replace the rays."""
@@ -403,21 +385,18 @@ def _rays(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
     return np.asarray(rays, dtype=np.float32)
 
 
-def _span(view: View) -> NDArray[np.float64]:
+def _span(view: View) -> Float:
     """Return the vector of an orthographic camera's rays, from their starts to the far plane. They
     start before the near plane, because visible.glsl leaves out their first 0.1 %."""
     return 2.02 / np.linalg.norm(view.matrix[:3, 2]) * view.forward
 
 
-def _camera_position(view: View, size: tuple[int, int]) -> NDArray[np.float32]:
-    eye = np.append(-_span(view), 0.0) if view.orthographic else view.eye
-    return eye.astype(np.float32)
-
-
 # The uniforms of the camera, by name.
-_CAMERA: dict[str, Callable[[View, tuple[int, int]], NDArray[np.float32]]] = {
+_CAMERA: dict[str, Callable[[View, Size], Float32]] = {
     "view_projection": lambda view, size: view.matrix.astype(np.float32),
-    "camera_position": _camera_position,
+    "camera_position": lambda view, size: np.array(
+        [*-_span(view), 0.0] if view.orthographic else view.eye, np.float32
+    ),
     "forward": lambda view, size: view.forward.astype(np.float32),
     "rays": _rays,
     "shadow_phase": lambda view, size: view.phase.astype(np.float32),

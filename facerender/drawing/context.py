@@ -25,8 +25,7 @@ class ForeignContext:
     """An OpenGL context of a host program, current in this thread, which only the host frees.
 
     handle : address of the context, which identifies it
-    rebind : function that makes the context current again, even if the window system regards it as
-        current
+    rebind : function that makes the context current again, even if the window system regards it so
     """
 
     def __init__(
@@ -217,8 +216,7 @@ _UNITS = 16
 
 @contextmanager
 def saved_state(load: Callable[[str], int]) -> Iterator[None]:
-    """Save the state of the current context, set it to the values that drawing needs, and restore
-    it afterwards.
+    """Save the state of the current context, set what drawing needs, and restore it afterwards.
 
     load : function that returns the address of an OpenGL function, 0 if the driver lacks it
     """
@@ -274,17 +272,14 @@ Backend = Literal["auto", "egl", "osmesa", "native", "current"]
 
 BACKENDS: tuple[Backend, ...] = ("auto", "egl", "osmesa", "native", "current")
 # Backends that "auto" tries, in this order. Windows and macOS have only "native".
-AUTO: tuple[Backend, ...] = (
-    ("native",) if sys.platform in ("win32", "darwin") else ("egl", "osmesa")
-)
-_MESA = "libgl1 libgl1-mesa-dri"
+_OTHER_SYSTEM = sys.platform in ("win32", "darwin")
+AUTO: tuple[Backend, ...] = ("native",) if _OTHER_SYSTEM else ("egl", "osmesa")
+_APT, _MESA = "on Debian or Ubuntu: {sudo}apt-get install", "libgl1 libgl1-mesa-dri"
+_DRIVER = "install a graphics driver that has OpenGL 3.3"
 REMEDIES = {
-    "egl": f"on Debian or Ubuntu: {{sudo}}apt-get install libegl1 {_MESA}",
-    "osmesa": "on Debian or Ubuntu: {sudo}apt-get install libosmesa6; Mesa 25.1 and later lack it: "
-    "use egl",
-    "native": "install a graphics driver that has OpenGL 3.3"
-    if AUTO == ("native",)
-    else f"on Debian or Ubuntu: {{sudo}}apt-get install {_MESA} libx11-6 xvfb",
+    "egl": f"{_APT} libegl1 {_MESA}",
+    "osmesa": f"{_APT} libosmesa6; Mesa 25.1 and later lack it: use egl",
+    "native": _DRIVER if _OTHER_SYSTEM else f"{_APT} {_MESA} libx11-6 xvfb",
     "current": "make a context current first, or use the backend auto",
 }
 SOFTWARE = ("llvmpipe", "softpipe", "swr", "swiftshader", "software rasterizer", "apple software")
@@ -316,8 +311,7 @@ if os.getpid() != IMPORTER:
 
 
 class _OSMesaContext(ForeignContext):
-    """An off-screen Mesa context. Its default framebuffer is one pixel in memory; images are drawn
-    into framebuffer objects."""
+    """An off-screen Mesa context. Its default framebuffer, which is not used, is one pixel."""
 
     def __init__(self) -> None:
         self._library: Any = _open_library("libOSMesa.so.8", "libOSMesa.so")
@@ -351,13 +345,10 @@ class _OSMesaContext(ForeignContext):
 
 
 def check_process(process: int) -> None:
-    """Raise ContextError if the process with this ID is not the current process, so that an object
-    that it created was inherited by a fork."""
+    """Raise ContextError if this process was forked from the process with this ID."""
     if process != os.getpid():
-        raise ContextError(
-            "this renderer was created before a fork, in another process: create a new one in this "
-            "process"
-        )
+        cause = "this renderer was created before a fork, in another process"
+        raise ContextError(f"{cause}: create a new one in this process")
 
 
 def _open_library(*names: str) -> ctypes.CDLL:
@@ -427,10 +418,8 @@ class Context:
                 raise ContextError("this renderer was released: create a new one")
             host, guest = current_context(), self.backend == "current"
             if guest and (host is None or host.handle != self.loader.handle):
-                raise ContextError(
-                    "the context in which this renderer was created is not current in this "
-                    "thread: make it current first"
-                )
+                cause = "the context in which this renderer was created is not current"
+                raise ContextError(f"{cause} in this thread: make it current first")
             try:
                 with saved_state(self.loader.load) if guest else self.gl:
                     yield self.gl
@@ -440,8 +429,7 @@ class Context:
 
     @property
     def closed(self) -> bool:
-        """Whether the context was released, or another process created it, before a fork. Only that
-        process may free the context."""
+        """Whether the context was released, or belongs to another process, which may free it."""
         return self.process != os.getpid() or isinstance(self.gl.mglo, moderngl.InvalidObject)
 
     def release(self, free: Callable[[], object] | None = None) -> None:
@@ -457,7 +445,7 @@ class Context:
 
 
 # With these names, glcontext does not start ldconfig or a compiler to find the libraries.
-_X11 = {} if AUTO == ("native",) else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
+_X11 = {} if _OTHER_SYSTEM else {"libgl": "libGL.so.1", "libx11": "libX11.so.6"}
 _OPENERS: dict[str, Callable[[], Any]] = {
     "egl": partial(_standalone, "egl", libegl="libEGL.so.1", libgl="libGL.so.1"),
     "osmesa": _OSMesaContext,
@@ -517,10 +505,8 @@ def _open(name: str, host: ForeignContext | None) -> Context:
 
 def _remedy(tried: tuple[str, ...]) -> str:
     if not _lost.isdisjoint(tried):
-        return (
-            'start the process by multiprocessing.get_context("spawn"), or a PyTorch loader with '
-            'multiprocessing_context="spawn"'
-        )
+        start = 'start the process by multiprocessing.get_context("spawn")'
+        return f'{start}, or a PyTorch loader with multiprocessing_context="spawn"'
     chosen = ""
     if tried[0] == "egl" and (index := os.environ.get(_DEVICE)) is not None:
         chosen = f"{_DEVICE} = {index}: give the index of a GPU, or unset it; "
@@ -530,16 +516,14 @@ def _remedy(tried: tuple[str, ...]) -> str:
 
 def probe() -> list[dict[str, Any]]:
     """Try the backends "egl", "osmesa" and "native"; return the properties or the error of each."""
-    findings = []
+    findings, keys = [], ("renderer", "version", "samples", "size", "error")
     for name in BACKENDS[1:-1]:
-        finding: dict[str, Any] = {"backend": name, "renderer": "", "version": "", "samples": 0}
-        finding |= {"size": 0, "error": ""}
+        values: tuple[Any, ...] = "", "", 0, 0, ""
         try:
             context = create_context(name)
-            finding |= {"renderer": context.renderer, "version": context.version}
-            finding |= {"samples": context.most_samples, "size": context.max_side}
+            values = context.renderer, context.version, context.most_samples, context.max_side, ""
             context.release()
         except ContextError as error:
-            finding["error"] = str(error)
-        findings.append(finding)
+            values = *values[:-1], str(error)
+        findings.append({"backend": name, **dict(zip(keys, values, strict=True))})
     return findings

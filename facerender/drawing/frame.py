@@ -11,7 +11,7 @@ from collections import UserDict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, partial
-from pathlib import PurePath
+from pathlib import PurePath, PureWindowsPath
 from typing import IO, TYPE_CHECKING, Any, get_args
 
 import numpy as np
@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from facerender.drawing.prepare import ResolvedScene, resolve
 from facerender.errors import InputError, clipped, note, quoted, warn
-from facerender.images.animation import arranged
+from facerender.images.animation import arranged, draw_scale_bar
 from facerender.images.files import Format, exr_bytes, format_of, pillow_bytes, png_bytes
 from facerender.images.image import ImageData, Tone, encode_srgb8, encode_srgb16, neutral
-from facerender.images.scale_bar import draw_scale_bar
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh
 from facerender.scene.background import clear_color
@@ -146,7 +145,8 @@ def _by_part(mesh: Mesh, values: Iterable[Any]) -> str:
     names: dict[str, list[str]] = {}
     for index, (part, value) in enumerate(zip(mesh.geometry.parts, values, strict=True), 1):
         if isinstance(value, Texture):
-            text = "{}, {} x {}".format(PurePath(value.name).name, *value.decoded_size)
+            # An MTL file of Windows has directories with backslashes.
+            text = "{}, {} x {}".format(PureWindowsPath(value.name).name, *value.decoded_size)
         else:
             text = str(float(f"{value:.9g}")) if isinstance(value, float) else str(value)
         names.setdefault(text, []).append(part.name or f"part{index}")

@@ -19,11 +19,8 @@ An image (:func:`image_passes`) needs up to seven kinds of passes:
 The last pass, "scatter" or else "shade", draws "transparent" over its result. If neither shading is
 deferred nor light scatters, "shade" draws the blended parts itself, after all others.
 
-Data images and G-buffers show the centres of the pixels. Data images need a few planes
-(:func:`plane_passes`), the visible fraction of each light (:func:`fraction_passes`) or the visible
-triangles (:func:`triangle_pass`). The reference needs the G-buffer (:func:`surface_passes`). Planes
-follow the passes of an image in one frame, if there is one, and share its pass "visible" where this
-is drawn at the centres of the pixels."""
+Data images and G-buffers show the centres of the pixels. Planes follow the passes of an image in
+one frame, if there is one, and share its pass "visible" if this shows the centres, too."""
 
 from __future__ import annotations
 
@@ -53,7 +50,7 @@ from facerender.drawing.program import (
 from facerender.mesh.mesh import Mesh
 from facerender.mesh.part import Part
 from facerender.scene.scene import Only, Scene, ShadingRate
-from facerender.values.vectors import Vector
+from facerender.values.vectors import Size, Vector
 
 if TYPE_CHECKING:
     from facerender.scene.scattering import Scattering
@@ -87,11 +84,8 @@ def can_defer(parts: Sequence[ResolvedPart], background: Vector, rows: int) -> b
     )
 
 
-def deferred_is_cheaper(
-    parts: Sequence[Part], size: tuple[int, int], samples: int, driver: str
-) -> bool:
-    """Return whether measurements found deferred shading cheaper than forward shading on a driver
-    (GL_RENDERER)."""
+def deferred_is_cheaper(parts: Sequence[Part], size: Size, samples: int, driver: str) -> bool:
+    """Return whether deferred shading was measured as cheaper on a driver (GL_RENDERER)."""
     triangles = sum(len(part.faces) for part in parts)
     many = samples > 1 or triangles * _MAX_PIXELS > size[0] * size[1]
     return many and driver.startswith(DRIVERS)
@@ -191,7 +185,6 @@ def _numbered(parts: Sequence[ResolvedPart]) -> list[tuple[ResolvedPart, int]]:
 
 
 def _visible_pass(parts: Sequence[tuple[ResolvedPart, int]], samples: int) -> Pass:
-    """Return the pass that draws the visible triangles of numbered parts."""
     draws = []
     for part, first in parts:
         single = part.material.double_sided is False
@@ -249,7 +242,6 @@ def image_passes(of: Structure, only: Only | None) -> list[Pass]:
 
 
 def _shade_draws(look: Appearance, samples: int, only: Only | None) -> list[Draw]:
-    """Return the draws that shade all parts."""
     specular, count = only != "diffuse", len(look.parts)
     slopes = look.slopes if specular else [(0.0, 0.0)] * count
     terms = look.terms if specular and look.lighting.shining else [None] * count
@@ -262,10 +254,8 @@ def _shade_draws(look: Appearance, samples: int, only: Only | None) -> list[Draw
 
 def _scattering(draws: Sequence[Draw], scattering: Scattering, *features: str) -> list[Draw]:
     """Return draws that also write the inputs of scattering."""
-    return [
-        draw.having("SCATTER", *features, profile=profile)
-        for draw, profile in zip(draws, scattering.numbers, strict=True)
-    ]
+    pairs = zip(draws, scattering.numbers, strict=True)
+    return [draw.having("SCATTER", *features, profile=profile) for draw, profile in pairs]
 
 
 def scatter_pass(
@@ -296,8 +286,7 @@ def scatter_pass(
 
 @dataclass(frozen=True)
 class Layer:
-    """One layer of a blended part. Depth peeling shows the surface with this index at each pixel; 0
-    is the nearest surface.
+    """A layer of a blended part: at each pixel the surface with this index; 0 is the nearest.
 
     part : index of the part
     """
@@ -307,16 +296,7 @@ class Layer:
 
 
 def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
-    """Return the names of the images of a G-buffer in drawing order:
-
-    - position: position, index of the part plus 1
-    - normal: normal, m
-    - albedo: albedo, specular weight
-    - uv: texture coordinates, occlusion, and either facing (if a part scatters) or opacity (of a
-      layer)
-    - lobes: m of the second lobe and weight of the first lobe, if a part has two lobes
-    - emitted: emission, with the refracted light, if a part emits or refracts light
-    - layer: depth, and index of the triangle in drawing order, of a layer
+    """Return the names of the images of a G-buffer; see ``shaders/host/gbuffer.frag``.
 
     layer : whether the G-buffer is one layer of a blended part
     """
@@ -327,8 +307,7 @@ def surface_images(scene: Scene, layer: bool) -> tuple[str, ...]:
 
 
 def plane_passes(of: Structure, names: Sequence[str], image: bool) -> list[Pass]:
-    """Return the passes that draw planes of all parts that are not blended, and of the parts
-    ``of.cut``.
+    """Return the passes that draw planes of the parts that are not blended, and of ``of.cut``.
 
     names : of PLANES
     image : whether the passes of an image are drawn before
@@ -395,8 +374,7 @@ def _data_passes(
     image: bool = False,
     marks: bool = True,
 ) -> list[Pass]:
-    """Return passes that draw data of the parts that are not blended and of ``of.cut``; or of a
-    layer.
+    """Return passes with data of the parts that are not blended and of ``of.cut``, or of a layer.
 
     draws : one for each of these parts; or for a layer, one for each part of the scene
     marks : whether deferred draws have marks; see :meth:`Structure.deferred`

@@ -18,7 +18,7 @@ from facerender.errors import InputError
 from facerender.scene.camera import Camera, Coefficients, jacobian, undistort
 from facerender.scene.scene import Scene
 from facerender.scene.view import View
-from facerender.values.vectors import Vector
+from facerender.values.vectors import Array, Float, Float32, Size, Vector
 
 _MARGIN = 3  # pixels around the undistorted image: the reach of a cubic filter, and a tap's offset
 _BLOCK = 1 << 15  # pixels per step, so that temporary arrays stay in the CPU's cache
@@ -40,11 +40,7 @@ class Lens:
     """
 
     def __init__(
-        self,
-        intrinsics: Intrinsics,
-        camera_size: tuple[int, int],
-        coefficients: Coefficients,
-        size: tuple[int, int],
+        self, intrinsics: Intrinsics, camera_size: Size, coefficients: Coefficients, size: Size
     ) -> None:
         scale, k = np.divide(size, camera_size), np.array(intrinsics)
         focal, middle = k[[0, 1], [0, 1]] * scale, k[:2, 2] * scale
@@ -66,11 +62,9 @@ class Lens:
         width, height = (high - low).astype(int).tolist()
         self.wide = width + 2 * reach, height + 2 * reach
         if max(self.wide) > _MAX_SIDE:
-            raise InputError(
-                f"camera distortion = {coefficients} needs an undistorted image of "
-                f"{self.wide[0]} x {self.wide[1]} pixels, but the limit is {_MAX_SIDE} a side: "
-                "give a smaller size"
-            )
+            image = f"an undistorted image of {self.wide[0]} x {self.wide[1]} pixels"
+            remedy = f"but the limit is {_MAX_SIDE} a side: give a smaller size"
+            raise InputError(f"camera distortion = {coefficients} needs {image}, {remedy}")
         (fx, fy), (cx, cy) = (focal / finest).tolist(), (reach - low).tolist()
         self.intrinsics: Intrinsics = (fx, 0.0, cx), (0.0, fy, cy), (0.0, 0.0, 1.0)
         self.size, self.coefficients, self.focal = size, coefficients, focal
@@ -84,7 +78,7 @@ class Lens:
         camera = Camera(extrinsics=pose, intrinsics=self.intrinsics, size=self.wide)
         return replace(scene, camera=camera)
 
-    def filtered(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+    def filtered(self, image: Float32) -> Float32:
         """Return the distorted image (H, W, 4) of an undistorted image. A pixel is the mean of its
         taps, which are evenly distributed over the pixel."""
         width, height = self.size
@@ -98,24 +92,20 @@ class Lens:
         return distorted.reshape(height, width, 4)
 
     def nearest(self, gbuffer: GBuffer, view: View) -> GBuffer:
-        """Return the distorted G-buffer with its view: each pixel has the values of the nearest
-        pixel of the undistorted G-buffer."""
+        """Return the distorted G-buffer with its view, from the nearest undistorted pixels."""
         layers = tuple(self.nearest(layer, view) for layer in gbuffer.transparent_layers)
-        arrays: dict[str, Any] = {
-            name: self.nearest_values(value)
-            for name, value in vars(gbuffer).items()
-            if isinstance(value, np.ndarray)
-        }
-        return replace(gbuffer, **arrays, view=view, transparent_layers=layers)
+        arrays = {name: v for name, v in vars(gbuffer).items() if isinstance(v, np.ndarray)}
+        nearest: Any = {name: self.nearest_values(values) for name, values in arrays.items()}
+        return replace(gbuffer, **nearest, view=view, transparent_layers=layers)
 
-    def nearest_values(self, image: NDArray[Any]) -> NDArray[Any]:
+    def nearest_values(self, image: Array) -> Array:
         """Return the value of the nearest pixel of an undistorted image for each pixel."""
         columns, rows = self.positions.astype(np.intp).T
         flat = image.reshape(math.prod(self.wide), *image.shape[2:])
         values = flat[rows * self.wide[0] + columns]
         return np.asarray(values.reshape(*self.size[::-1], *image.shape[2:]))
 
-    def _tap_positions(self, pixels: NDArray[np.intp], count: int) -> Iterator[NDArray[np.float32]]:
+    def _tap_positions(self, pixels: NDArray[np.intp], count: int) -> Iterator[Float32]:
         """Yield positions (N, 2) in the undistorted image: count x count per pixel."""
         positions = self.positions[pixels]
         if count == 1:
@@ -131,7 +121,7 @@ class Lens:
                 yield positions + (steps @ np.array([x, y])).astype(np.float32)
 
 
-def lens_of(camera: Camera, size: tuple[int, int]) -> Lens:
+def lens_of(camera: Camera, size: Size) -> Lens:
     """Return the lens of a camera with distortion for images of the given size, from a cache."""
     return _lens(camera.intrinsics, camera.size, camera.distortion, size)
 
@@ -143,7 +133,7 @@ def _in_steps(pixels: NDArray[np.intp]) -> Iterator[NDArray[np.intp]]:
     return (pixels[start : start + _BLOCK] for start in range(0, len(pixels), _BLOCK))
 
 
-def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _singular(matrices: Float) -> tuple[Float, Float]:
     """Return the smallest and the largest singular value of each matrix (N, 2, 2)."""
     squares = np.einsum("nij,nij->n", matrices, matrices)
     product = 2.0 * np.abs(np.linalg.det(matrices))
@@ -151,9 +141,7 @@ def _singular(matrices: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
     return (total - difference) / 2.0, (total + difference) / 2.0
 
 
-def _interpolated(
-    image: NDArray[np.float32], positions: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _interpolated(image: Float32, positions: Float32) -> Float32:
     """Return the values (N, 4) of an image (H, W, 4) at positions (N, 2), by Catmull-Rom filters.
 
     Each value is limited to the range of the nearest 2 x 2 pixels: edges get no halos. If one of
@@ -183,9 +171,8 @@ def _interpolated(
     return total
 
 
-def _weights(t: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the weights (N, 4) of four neighbours at the fraction t of the step between the second
-    and the third."""
+def _weights(t: Float32) -> Float32:
+    """Return the weights (N, 4) of four neighbours at the fraction t between the middle two."""
     s = 1.0 - t
     second, third = (1.0 + d * d * (1.5 * d - 2.5) for d in (t, s))
     return np.stack([-0.5 * t * s * s, second, third, -0.5 * s * t * t], axis=-1)

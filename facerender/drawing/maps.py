@@ -1,13 +1,11 @@
-"""The maps that images read: shadow maps, and maps of the surfaces behind refracting parts. No
-OpenGL here.
+"""The maps that images read: of shadows, and of surfaces behind refracting parts. No OpenGL here.
 
 The shadow map of a light has the surfaces that are nearest to the light. Two textures that are
 derived from it save most of the samples of soft shadows: cones, above which a point sees a whole
 light, and tops, the nearest surfaces around a point. ``shaders/host/shadow.glsl`` reads them.
 
 Each connected region of a refracting part, such as a cornea, has a map of the surfaces behind it.
-``shaders/host/refraction.glsl`` refracts the view ray and finds in this map the surface that the
-ray hits.
+``shaders/host/refraction.glsl`` refracts the view ray and finds the surface that the ray hits.
 
 All maps are kept while only the camera moves."""
 
@@ -21,7 +19,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.drawing.prepare import Appearance
 from facerender.drawing.program import (
@@ -41,10 +38,7 @@ from facerender.mesh.part import Area, TriangleSetup
 from facerender.mesh.repair import joined
 from facerender.scene.light import LightSpace
 from facerender.scene.view import View
-from facerender.values.vectors import Vector
-
-Floats = NDArray[np.float64]
-Numbers = NDArray[np.int64]
+from facerender.values.vectors import Float, Integers, Size, Vector
 
 MAX_SHADOWS = 16  # lights that cast shadows: one texture holds their maps in a row
 _FEWEST_TEXELS, _MAX_TEXELS = 512, 4096  # width and height of a light's shadow map
@@ -74,7 +68,7 @@ class Maps:
     """
 
     def __init__(
-        self, look: Appearance, mesh: Mesh, view: View, size: tuple[int, int], refracts: bool = True
+        self, look: Appearance, mesh: Mesh, view: View, size: Size, refracts: bool = True
     ) -> None:
         self.look, self.mesh, self.texels = look, mesh, _shadow_texels(look, view, size)
         self.regions: tuple[tuple[RefractingRegion, ...], ...] = ()
@@ -100,8 +94,7 @@ class Maps:
 
     @cached_property
     def uniforms(self) -> Uniforms:
-        """Uniforms of the lights, of the ambient light, of the environment and of the shadow
-        maps."""
+        """Uniforms of all lights, of the environment and of the shadow maps."""
         look = self.look
         uniforms: dict[str, Any] = {"ambient": np.asarray(look.ambient)}
         for light_type, lights in look.lighting.by_type.items():
@@ -120,8 +113,7 @@ class Maps:
         return uniforms | tiles
 
     def refracted(self, draws: list[Draw], background: Vector) -> list[Draw]:
-        """Return the draws of all parts, in which refracting parts show the surfaces behind them,
-        or else the background."""
+        """Return the draws, in which refracting parts show surfaces or the background behind."""
         first = 0
         for index, regions in enumerate(self.regions):
             if regions:
@@ -173,7 +165,7 @@ class Maps:
         ]
 
 
-def _shadow_texels(look: Appearance, view: View, size: tuple[int, int]) -> int:
+def _shadow_texels(look: Appearance, view: View, size: Size) -> int:
     """Return the width of a shadow map. At the mesh's centre, a texel covers at most one pixel,
     unless the limits forbid it. The width depends on the view alone, not on earlier frames: an
     image never depends on what was drawn before it."""
@@ -182,10 +174,8 @@ def _shadow_texels(look: Appearance, view: View, size: tuple[int, int]) -> int:
     if count > MAX_SHADOWS:
         around = len(look.lighting.environment)
         including = f", including {around} of the environment" if around else ""
-        raise InputError(
-            f"{count} lights cast shadows{including}: at most {MAX_SHADOWS} may; turn off "
-            "the other shadows"
-        )
+        remedy = f"at most {MAX_SHADOWS} may; turn off the other shadows"
+        raise InputError(f"{count} lights cast shadows{including}: {remedy}")
     depth = max(float(view.matrix[3, 3]), 1e-3)
     columns = view.matrix[:3, :2]
     across = (columns * columns).sum(axis=0) ** 0.5 * size / depth * look.space.reach  # in pixels
@@ -218,7 +208,7 @@ def _cut(material: Material) -> Hashable:
     return material.alpha, material.opacity, material.alpha_cutoff, *map_
 
 
-def _target(size: tuple[int, int], number: int = 0) -> Target:
+def _target(size: Size, number: int = 0) -> Target:
     return Target((1,), size=size, sampled=True, number=number)
 
 
@@ -282,9 +272,7 @@ class RefractingRegion:
     within : for each part, the indices (F,) of its triangles that may be within the map
     """
 
-    def __init__(
-        self, setup: TriangleSetup, faces: Numbers, setups: Sequence[TriangleSetup]
-    ) -> None:
+    def __init__(self, setup: TriangleSetup, faces: Integers, setups: list[TriangleSetup]) -> None:
         corners = setup.positions[setup.faces[faces]].astype(np.float64)
         axis = _axis(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
         across = np.cross(np.eye(3)[int(np.abs(axis).argmin())], axis)
@@ -304,7 +292,7 @@ class RefractingRegion:
         self.uniforms = {"view_projection": self.matrix @ depth, "to_map": self.matrix}
         units = np.array([(0, 0, 0, 1), (1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)])
         self.axes = units @ np.linalg.inv(self.matrix)
-        self.within: list[Numbers] = []
+        self.within: list[Integers] = []
         for other in setups:
             positions = other.positions @ self.matrix[:3, :3] + self.matrix[3, :3]
             above = positions > (1.0, 1.0, self.top)
@@ -314,7 +302,7 @@ class RefractingRegion:
             self.within.append(np.flatnonzero(a & b & c == 0))
 
 
-def _axis(normals: Floats) -> Floats:
+def _axis(normals: Float) -> Float:
     """Return the mean (3,) of normals. The normals of a closed surface cancel out: then the result
     is the mean of the normals that point to the front of the mesh."""
     total, axis = np.linalg.norm(normals, axis=1).sum(), normals.sum(axis=0)
@@ -324,7 +312,7 @@ def _axis(normals: Floats) -> Floats:
     return axis / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
 
 
-def _labels(setup: TriangleSetup) -> Numbers:
+def _labels(setup: TriangleSetup) -> Integers:
     """Return a label for each triangle, (F,). Connected triangles have the same label, and so have
     regions whose bounding boxes overlap, such as the front and the back of a shell."""
     corners = np.unique(setup.positions, axis=0, return_inverse=True)[1].reshape(-1)[setup.faces]
@@ -341,9 +329,7 @@ def _labels(setup: TriangleSetup) -> Numbers:
     return np.asarray(joined(pairs, len(names))[labels])
 
 
-def regions_of(
-    setup: TriangleSetup, setups: Sequence[TriangleSetup]
-) -> tuple[RefractingRegion, ...]:
+def regions_of(setup: TriangleSetup, setups: list[TriangleSetup]) -> tuple[RefractingRegion, ...]:
     """Return the regions of a refracting part of a mesh, from the triangles of all parts."""
     labels = _labels(setup)
     groups = [np.flatnonzero(labels == label) for label in np.unique(labels)[: _MAX_MAPS + 1]]
@@ -353,7 +339,6 @@ def regions_of(
 
 
 def _behind(look: Appearance, region: RefractingRegion, area: Area) -> Iterator[Draw]:
-    """Yield the draws of the surfaces behind a region."""
     shading = look.shading.replace(diffuse="lambert", environment_samples=0)
     plain = replace(look, shading=shading)
     camera = np.array([0.0, 0.0, 1e3, 1.0]) @ np.linalg.inv(region.matrix)  # far in front

@@ -7,15 +7,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.drawing.frame_passes import INDEX_BASE
 from facerender.drawing.prepare import ResolvedPart
 from facerender.errors import InputError
 from facerender.scene.scene import Scene
 from facerender.scene.view import View
-
-Float = NDArray[np.float64]
+from facerender.values.vectors import Float, Float32, Integers, Size
 
 # Displacements are rounded to 1e-6 pixels, because two poses of one mesh may use renderer's spaces
 # of different centre. Rounding errors of float64 then leave static points at 0.
@@ -23,26 +21,22 @@ _DIGITS = 6
 _XYW = [0, 1, 3]  # indices of clip x, y and w
 
 
-def pixel_centres(size: tuple[int, int]) -> Float:
+def pixel_centres(size: Size) -> Float:
     """Return the centre (H * W, 2) of each pixel of an image, row by row."""
     return np.stack(np.divmod(np.arange(math.prod(size)), size[0])[::-1], axis=-1) + 0.5
 
 
 def check_before(scene: Scene) -> Scene:
-    """Return the scene in the frame before. Raises InputError if there is none, or if its mesh has
-    other triangles."""
+    """Return the scene before. Raises InputError without one, or for other triangles."""
     if (before := scene.before) is None:
-        raise InputError(
-            f"motion of {scene.mesh.name} needs the frame before: give the scene of that frame as "
-            "Scene(..., before=SCENE)"
-        )
+        remedy = "give the scene of that frame as Scene(..., before=SCENE)"
+        raise InputError(f"motion of {scene.mesh.name} needs the frame before: {remedy}")
     faces, old_faces = ([part.faces for part in frame.mesh.parts] for frame in (scene, before))
     pairs = zip(faces, old_faces, strict=False)
     if len(faces) != len(old_faces) or not all(a is b or np.array_equal(a, b) for a, b in pairs):
-        raise InputError(
-            f"{scene.mesh.name} and {before.mesh.name} of the frame before have different "
-            "triangles: give two poses of one mesh, from Mesh.with_positions"
-        )
+        names = f"{scene.mesh.name} and {before.mesh.name} of the frame before"
+        remedy = "give two poses of one mesh, from Mesh.with_positions"
+        raise InputError(f"{names} have different triangles: {remedy}")
     return before
 
 
@@ -51,19 +45,17 @@ def motion_vectors(
     before: Scene,
     views: tuple[View, View],
     parts: Sequence[ResolvedPart],
-    triangles: NDArray[np.float32],
+    triangles: Float32,
     flat: View,
     rays: Float,
-) -> NDArray[np.float32]:
+) -> Float32:
     """Return the motion vectors of a scene as an image (H, W, 4) float32; see ``Frame.linear``.
 
     before : the result of :func:`check_before`
     views : the camera of this frame, and that of the frame before
-    parts, triangles : the parts of ``triangle_pass``, and this pass's values at the image's pixels,
-        (H, W, 4)
+    parts, triangles : the parts of ``triangle_pass``, and the values of this pass, (H, W, 4)
     flat : the camera of this frame without lens distortion
-    rays : (H * W, 2), positions at which the rays through the centres of the pixels meet the image
-        of this camera, from -1 to 1
+    rays : (H * W, 2), positions of the pixels' centres in the image of this camera, from -1 to 1
     """
     size = triangles.shape[1::-1]
     texels = triangles.reshape(-1, 4)
@@ -90,9 +82,8 @@ def motion_vectors(
     return image.reshape(triangles.shape)
 
 
-def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the different values of indices below `count`, and the indices into these values.
-    np.unique takes ten times as long."""
+def _unique(index: Integers, count: int) -> tuple[Integers, Integers]:
+    """Return the result of np.unique for indices below `count`, in a tenth of the time."""
     positions = np.zeros(count, dtype=np.int64)
     positions[index] = 1
     unique = np.flatnonzero(positions)
@@ -100,7 +91,7 @@ def _unique(index: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
     return unique, positions[index]
 
 
-def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) -> Float:
+def _weights(view: View, corners: Float, index: Integers, rays: Float) -> Float:
     """Return the barycentric coordinates (3, N) of the triangles' points at the centres of pixels.
 
     The ray of a pixel meets a triangle at the weights det(p, b, c), det(p, c, a) and det(p, a, b),
@@ -121,8 +112,7 @@ def _weights(view: View, corners: Float, index: NDArray[np.int64], rays: Float) 
     return np.asarray(weights / weights.sum(axis=0))
 
 
-def _mean(corners: Float, index: NDArray[np.int64], weights: Float) -> Float:
-    """Return the weighted means (N, 3) of the corners of triangles."""
+def _mean(corners: Float, index: Integers, weights: Float) -> Float:
     corners = np.moveaxis(corners, 1, 0)
     terms = (np.take(corner, index, axis=0) for corner in corners)
     return np.asarray(sum(map(np.multiply, terms, weights[..., None])))

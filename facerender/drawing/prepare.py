@@ -18,9 +18,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from facerender.errors import InputError
 from facerender.material import MAPS, PROPERTY_MAPS, Alpha, Material
 from facerender.mesh.mesh import Mesh, coordinates, drawn_alpha, slope_range
@@ -32,7 +29,7 @@ from facerender.scene.view import View, levels_to_spare
 from facerender.system.process import MIB, limit
 from facerender.terms.model import slope_filtered, slope_variance_disc, slope_variance_map
 from facerender.texture.texture import LARGE, Kind, Texture
-from facerender.values.vectors import Vector
+from facerender.values.vectors import Float, Size, Vector
 
 if TYPE_CHECKING:
     from facerender.scene.environment import Environment
@@ -55,8 +52,7 @@ class LightGroup:
 
 
 class Lighting:
-    """The lights of a scene and of its environment map in the order in which programs loop over
-    them.
+    """The lights of a scene and its environment map in the order in which programs loop over them.
 
     Lights are sorted by kind, then by term (lights without a term last), then by shadow (lights
     without shadows first); the lights of the environment follow the scene's. They have no term: the
@@ -74,16 +70,11 @@ class Lighting:
         source = scene.environment
         self.environment = source.lights(shading.environment_lights) if source else ()
         lights = scene.lights + self.environment
-        types = [light.kind for light in lights]
-        keys = [
-            (
-                light_type.name,
-                index >= first or not shading.shines(index),
-                light.shadow,
-                index >= first,
-            )
-            for index, (light, light_type) in enumerate(zip(lights, types, strict=True))
-        ]
+        keys = []
+        for index, light in enumerate(lights):
+            around = index >= first
+            without_term = around or not shading.shines(index)
+            keys.append((light.kind.name, without_term, light.shadow, around))
         groups, maps = [], 0
         for (name, without_term, shadow, around), count in sorted(Counter(keys).items()):
             map_ = maps if shadow else None
@@ -93,7 +84,7 @@ class Lighting:
         self.lights = [lights[index] for index in self.order]
         self.by_type: dict[LightKind, list[Light]] = {}
         for index in self.order:
-            self.by_type.setdefault(types[index], []).append(lights[index])
+            self.by_type.setdefault(lights[index].kind, []).append(lights[index])
         self.shining = sum(group.count for group in groups if group.specular)
         self.shadowed = tuple(index for index in self.order if lights[index].shadow)
 
@@ -213,8 +204,7 @@ class Appearance:
 
     @cached_property
     def light_spaces(self) -> list[LightSpace]:
-        """The spaces of the lights that cast shadows, in the order of their shadow maps. Raises the
-        errors of :func:`light_space`."""
+        """The spaces of the shadow maps in order. Raises the errors of :func:`light_space`."""
         return [light_space(light, self.space) for light in self.lighting.lights if light.shadow]
 
     @cached_property
@@ -233,7 +223,7 @@ class Appearance:
         return any(m.scattering and m.diffuse_weight > 0.0 for m in self.materials)
 
     @cached_property
-    def large_maps(self) -> list[tuple[ResolvedPart, str, Texture, NDArray[np.float64]]]:
+    def large_maps(self) -> list[tuple[ResolvedPart, str, Texture, Float]]:
         """The maps of more than LARGE texels, by part: name, map and texture coordinates."""
         return [
             (part, name, texture, uv)
@@ -254,8 +244,7 @@ class ResolvedScene:
 
 
 def resolve(scene: Scene, shading: Shading, albedo: Kind = "color") -> ResolvedScene:
-    """Return a scene without the features that the shading leaves out, and its appearance. For
-    errors see :func:`simplify`.
+    """Return a simplified scene and its appearance; see :func:`simplify`, also for errors.
 
     The geometry owns its recent appearances, because consecutive frames mostly differ in the camera
     or in the pose, and measurements alternate between few shadings.
@@ -293,11 +282,9 @@ _OF_TRIANGLE, _OF_PIXEL, _OF_SAMPLE = 500, 48, 20
 
 
 def simplify(scene: Scene, shading: Shading) -> Scene:
-    """Return the scene without the maps, shadows, scattering, environment and ambient light that a
-    shading leaves out.
+    """Return the scene without the features that a shading leaves out.
 
-    Raises InputError if m or ks is outside its domain, or if the shading names a light that the
-    scene lacks.
+    Raises InputError if m or ks is outside its domain, or if the scene lacks a chosen light.
     """
     shading.check_lights(len(scene.lights))
     materials = scene.mesh.materials
@@ -327,9 +314,8 @@ def simplify(scene: Scene, shading: Shading) -> Scene:
     return replace(scene, mesh=scene.mesh.with_material(**changes))
 
 
-def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotropy: float) -> Scene:
-    """Return a scene whose large maps (more than LARGE texels) begin with the finest mip level that
-    the image reads.
+def reduced(resolved: ResolvedScene, view: View, size: Size, anisotropy: float) -> Scene:
+    """Return a scene whose maps of more than LARGE texels begin at the finest level that is read.
 
     anisotropy : maximum anisotropy of texture filtering
     """
@@ -353,8 +339,7 @@ def reduced(resolved: ResolvedScene, view: View, size: tuple[int, int], anisotro
 
 
 def start_maps(parts: Iterable[ResolvedPart]) -> None:
-    """Start to decode the maps of parts in threads, before the renderer needs them. Large maps are
-    skipped, since the renderer may reduce them."""
+    """Start to decode maps of parts in threads, except large maps, which may be reduced."""
     for part in parts:
         for _, texture, mip_kind in part.maps:
             if not texture.coarse and _texels(texture) <= LARGE:
@@ -365,9 +350,7 @@ def _texels(texture: Texture) -> int:
     return math.prod(texture.size)
 
 
-def check_memory(
-    resolved: ResolvedScene, size: tuple[int, int], samples: int, most: float | None
-) -> None:
+def check_memory(resolved: ResolvedScene, size: Size, samples: int, most: float | None) -> None:
     """Raise InputError if the estimated memory for drawing a scene exceeds a limit.
 
     resolved : scene with reduced maps
@@ -386,7 +369,6 @@ def check_memory(
     drawing = _PROGRAMS + math.prod(size) * (_OF_PIXEL + samples * _OF_SAMPLE)
     needed = (resident + max(decoding, drawing)) / MIB
     if needed > (free := limit(most)):
-        raise InputError(
-            f"{geometry.name} at {size[0]} x {size[1]} with {samples} samples needs about "
-            f"{needed:.0f} MiB of {free:.0f}: give a smaller size, fewer samples or smaller maps"
-        )
+        subject = f"{geometry.name} at {size[0]} x {size[1]} with {samples} samples"
+        remedy = "give a smaller size, fewer samples or smaller maps"
+        raise InputError(f"{subject} needs about {needed:.0f} MiB of {free:.0f}: {remedy}")

@@ -21,6 +21,7 @@ from facerender.material import PROPERTY_MAPS
 from facerender.mesh.part import Area, Part
 from facerender.scene.scene import Only
 from facerender.scene.shading import Shading, Term
+from facerender.values.vectors import Integers, Size
 
 ENVIRONMENT_MAP = "environment_map"
 IN_ROW = 256  # vertices or triangles in a row of a texture
@@ -111,13 +112,12 @@ class Target:
     sampled : whether later passes read the images as textures
     number : number that distinguishes targets with otherwise equal attributes
     resolved : whether later passes read one value per pixel of colours with several samples
-    depth_of : target whose depth buffer this target shares and does not clear; None for a depth
-        buffer of its own
+    depth_of : target whose depth buffer this target shares and does not clear; None for none
     """
 
     channels: tuple[int, ...] = (4,)
     samples: int = 1
-    size: tuple[int, int] | None = None
+    size: Size | None = None
     sampled: bool = False
     number: int = 0
     resolved: bool = True
@@ -148,7 +148,7 @@ class Draw:
     part: ResolvedPart | None = None
     area: Area | Bounds | None = None
     depth: Literal["test", "hide", "blend", "mark", "marked", "visible"] = "test"
-    order: NDArray[np.int64] | Order | None = None
+    order: Integers | Order | None = None
     double_sided: bool | None = True
 
     @classmethod
@@ -176,8 +176,7 @@ class Pass:
     others : uniform names of the further images of the target
     results : indices of the images that the frame returns
     area : rectangle to clear, as in :class:`Draw`; None for the whole target
-    clear : initial value of all pixels: linear RGB and coverage. None: the pass draws over the
-        target's images and depths
+    clear : initial linear RGB and coverage of all pixels. None: the pass draws over the target
     uniforms : uniforms of all draws. The compiled frame adds the camera's
     added : whether draws add their colours to the image
     key : value of everything except the pose that the image depends on. The pass is skipped if the
@@ -309,12 +308,9 @@ def part_uniforms(resolved: ResolvedPart) -> Uniforms:
 def fixed_attributes(part: Part, uv2: bool = True) -> dict[str, NDArray[np.floating[Any]]]:
     """Return the vertex attributes that all poses of a part share, (N, width) each, keyed by
     name; without the second texture coordinates if `uv2` is false."""
-    columns = {
-        "in_uv": part.uv,
-        "in_occlusion": None if part.occlusion is None else part.occlusion[:, None],
-        "in_color": part.colors,
-        "in_uv2": part.uv2 if uv2 else None,
-    }
+    occlusion = None if part.occlusion is None else part.occlusion[:, None]
+    columns = {"in_uv": part.uv, "in_occlusion": occlusion, "in_color": part.colors}
+    columns["in_uv2"] = part.uv2 if uv2 else None
     return {name: column for name, column in columns.items() if column is not None}
 
 

@@ -31,6 +31,7 @@ from facerender.errors import ContextError, InputError
 from facerender.mesh.part import Area, Part, TriangleSetup
 from facerender.system.process import give_back, unload
 from facerender.texture.texture import Kind, Texture, Wrap
+from facerender.values.vectors import Array, Float32, Integers
 
 if TYPE_CHECKING:
     from facerender.scene.environment import Panorama
@@ -92,11 +93,9 @@ class Uploaded:
     columns : attributes that all poses share, see :func:`fixed_attributes`
     moving : positions and normals, which change with the pose
     content : buffers of interleaved vertex attributes, each with their widths by name
-    arrays : cache of vertex arrays, keyed by program and by the name of the order, None for all
-        triangles
+    arrays : cache of vertex arrays, by program and by name of the order, None for all triangles
     chosen : vertex indices of the triangles that :meth:`choose` chose, by the name of the order
-    selected, texels : texture of the indices of the triangles that face the camera, None before its
-        first use; and its content
+    selected, texels : texture of the triangles that face the camera, if used; and its content
     table : framebuffer of the triangle table, with IN_ROW triangles in a row; None before its first
         use. ``shaders/host/triangle_table.frag`` draws it
     table_inputs : textures that this shader reads: "vertices", "attributes" and "faces"
@@ -114,7 +113,7 @@ class Uploaded:
     )
     chosen: dict[str, moderngl.Buffer] = field(default_factory=dict)
     selected: moderngl.Texture | None = None
-    texels: NDArray[np.float32] = field(default_factory=lambda: np.empty(0, dtype=np.float32))
+    texels: Float32 = field(default_factory=lambda: np.empty(0, dtype=np.float32))
     table: moderngl.Framebuffer | None = None
     table_inputs: Mapping[str, moderngl.Texture] = field(default_factory=dict)
     table_setup: TriangleSetup | None = None
@@ -134,9 +133,8 @@ class Uploaded:
         self.moving.write(setup.vertices)
         self.setup = setup
 
-    def choose(self, name: Order, order: NDArray[np.int64]) -> int:
-        """Upload the indices of triangles (F,), which arrays of this order draw. Return their
-        number."""
+    def choose(self, name: Order, order: Integers) -> int:
+        """Upload the indices of triangles (F,) for arrays of this order. Return their number."""
         if not (count := len(order)):
             return 0
         self.buffer(name).write(self.setup.faces.take(order, axis=0))
@@ -147,8 +145,7 @@ class Uploaded:
         return count
 
     def make_table(self) -> None:
-        """Make an empty triangle table. Deferred shading supports one set of texture
-        coordinates."""
+        """Make an empty triangle table. It has no second texture coordinates."""
         gl, count, faces = self.gl, len(self.setup.positions), self.setup.faces
         columns = (rows for name, rows in self.columns.items() if name != "in_uv2")
         values = np.hstack([np.empty((count, 0)), *columns])
@@ -171,7 +168,7 @@ class Uploaded:
         return self.chosen[name]
 
     def array(
-        self, compiled: CompiledProgram, order: NDArray[np.int64] | Order | None = None
+        self, compiled: CompiledProgram, order: Integers | Order | None = None
     ) -> moderngl.VertexArray:
         """Return the vertex array that a program reads, from the cache, except for a fixed order.
 
@@ -201,18 +198,11 @@ def _empty(
     return texture
 
 
-def _fill(texture: moderngl.Texture, values: NDArray[Any]) -> None:
-    """Write items (N, ...) to the first texels of a texture, row by row."""
-    values = np.ascontiguousarray(values).reshape(len(values), -1)
-    width = values.shape[1] // texture.components
-    full_rows = len(values) // IN_ROW
-    for first_row, rows, columns in (
-        (0, full_rows, IN_ROW),
-        (full_rows, 1, len(values) - full_rows * IN_ROW),
-    ):
-        if rows and columns:
-            block = values[first_row * IN_ROW : first_row * IN_ROW + rows * columns]
-            texture.write(block, (0, first_row, columns * width, rows))
+def _fill(texture: moderngl.Texture, values: Array) -> None:
+    """Write items (N, ...) to the first texels of a texture, row by row; the others become 0."""
+    items = np.zeros((IN_ROW * texture.height, values[0].size), values.dtype)
+    items[: len(values)] = values.reshape(len(values), -1)
+    texture.write(items)
 
 
 @dataclass(eq=False)
@@ -270,8 +260,7 @@ class Resources:
         self.context.gl.gc()
 
     def evict_unused(self) -> None:
-        """Free dropped objects. Return freed memory to the system. The renderer calls this method
-        before each frame.
+        """Free dropped objects and return freed memory to the system, before each frame.
 
         malloc keeps the memory that decoders, uploads and compilers freed (110 MiB for the built-in
         head). After a frame that created GPU objects, this memory is released, and so are the
@@ -353,15 +342,12 @@ class Resources:
             self.programs[source] = self.programs.pop(source)
             return self.programs[source]
         self._settled = False
-        stages = source.sources("330 core")
+        gl, stages = self.context.gl, source.sources("330 core")
         try:
-            program = self.context.gl.program(
-                vertex_shader=stages["vert"], fragment_shader=stages["frag"]
-            )
+            program = gl.program(vertex_shader=stages["vert"], fragment_shader=stages["frag"])
         except moderngl.Error as error:
-            raise ContextError(
-                f"{self.context.renderer} cannot compile a program: {error}"
-            ) from None
+            problem = f"{self.context.renderer} cannot compile a program"
+            raise ContextError(f"{problem}: {error}") from None
         self.programs[source] = compiled = CompiledProgram.of(program)
         if len(self.programs) > MAX_PROGRAMS:
             del self.programs[next(iter(self.programs))]
@@ -439,10 +425,8 @@ class Resources:
         height, width = levels[0].shape[:2]
         limit = gl.info["GL_MAX_TEXTURE_SIZE"]
         if max(width, height) > limit:
-            raise InputError(
-                f"{source.name} is {width} x {height} texels: this driver allows at most {limit} a "
-                "side; give a smaller map"
-            )
+            remedy = f"this driver allows at most {limit} a side; give a smaller map"
+            raise InputError(f"{source.name} is {width} x {height} texels: {remedy}")
         first_texel = levels[0][:1, :1].copy()  # sets the unpack alignment to 1 for all levels
         texture = gl.texture((1, 1), components, first_texel, 0, 1, dtype, internal_format=internal)
         texture.use(0)
@@ -489,15 +473,11 @@ class Resources:
 def free_dropped(resources: Resources) -> None:
     """Free the GPU objects of a renderer that was garbage-collected without release.
 
-    If the context belongs to the host and is not current, the objects remain until the host frees
-    the context.
+    In a context of the host that is not current, they remain until the host frees the context.
     """
     if resources.context.closed:
         return
-    warnings.warn(
-        "a Renderer was dropped without release(): create it in a with statement",
-        ResourceWarning,
-        stacklevel=2,
-    )
+    message = "a Renderer was dropped without release(): create it in a with statement"
+    warnings.warn(message, ResourceWarning, stacklevel=2)
     with suppress(ContextError):
         resources.context.release(resources.release)

@@ -207,8 +207,7 @@ def explorer_page(
     start = job.camera
     if start.position is not None or start.extrinsics is not None or start.orthographic:
         remedy = "give --camera front, three-quarter, profile or AZIMUTH,ELEVATION,ZOOM"
-        cause = "needs a perspective camera that orbits the mesh"
-        raise InputError(f"the explorer {cause}: {remedy}")
+        raise InputError(f"the explorer needs a perspective camera that orbits the mesh: {remedy}")
     if len(job.lights) > MAX_LIGHTS:
         counts = f"at most {MAX_LIGHTS} lights, and there are {len(job.lights)}"
         raise InputError(f"the explorer has {counts}: leave some out")

@@ -1,4 +1,4 @@
-"""Several images in one file: sheets and animations (GIF, WebP, MP4)."""
+"""Several images in one file, as sheets and animations (GIF, WebP, MP4); scale bars."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def arranged(
     rows = math.ceil(len(images) / columns)
     height, width = images[0].shape[:2]
     gap = max(width // 64, 2)
-    bands = [_text(title, width) for title in titles] if any(titles) else []
+    bands = [text_band(title, width) for title in titles] if any(titles) else []
     across, down = width + gap, max(map(len, bands), default=0) + height + gap
     sheet_size = columns * across + gap, rows * down + gap
     check_pixels(f"a sheet of {number_of(len(images), 'image')}", *sheet_size, _BYTES, math.inf)
@@ -55,7 +55,7 @@ def arranged(
     return pixels
 
 
-def _text(title: str, width: int) -> NDArray[np.uint8]:
+def text_band(title: str, width: int) -> NDArray[np.uint8]:
     """Return a title (H, W, 3); a long one has a smaller font and, if needed, several lines."""
     from PIL import Image, ImageDraw, ImageFont
 
@@ -72,6 +72,46 @@ def _text(title: str, width: int) -> NDArray[np.uint8]:
     for index, text in enumerate(lines):
         draw.text((0, index * step + step // 2), text, _INK, font, "lm")
     return np.asarray(image)
+
+
+def draw_scale_bar(pixels: NDArray[Any], mm_per_pixel: float) -> None:
+    """Draw a scale bar and its length in the lower right corner of an image, in place.
+
+    The length is 1, 2 or 5 x 10^k mm, and at most a quarter of the image's width. Bar and text are
+    black on bright or transparent pixels and white on dark pixels, with an outline of the other.
+
+    pixels : (H, W, 3), or (H, W, 4) with straight alpha; uint8 or uint16
+    """
+    from PIL import Image, ImageDraw, ImageFont
+
+    height, width = pixels.shape[:2]
+    longest = 0.25 * width * mm_per_pixel * (1.0 + 1e-9)
+    power = 10.0 ** math.floor(math.log10(longest))
+    length = power * max(digit for digit in (1, 2, 5) if digit * power <= longest)
+    across = max(round(length / mm_per_pixel), 1)
+    size = max(min(width, height) // 32, _TEXT[0])
+    outline, thickness = max(size // 12, 1), max(size // 6, 2)
+    font, label = ImageFont.load_default(size), f"{length:g} mm"
+    wider = math.ceil(max(across, font.getlength(label)))
+    box_width, box_height = min(wider + 2 * size, width), min(3 * size, height)
+    left = max(box_width - size - (wider + across) // 2, 0)
+    bottom = max(box_height - size, min(box_height, thickness))
+    masks = []
+    for margin in (outline, 0):
+        image = Image.new("L", (box_width, box_height))
+        draw = ImageDraw.Draw(image)
+        ends = left - margin, bottom - thickness - margin
+        draw.rectangle((*ends, left + across + margin - 1, bottom + margin - 1), 255)
+        above = left + across / 2.0, bottom - 2 * thickness
+        draw.text(above, label, 255, font, "ms", stroke_width=margin)
+        masks.append(np.asarray(image, dtype=np.float32)[..., None] / np.float32(255.0))
+    box, white = pixels[-box_height:, -box_width:], np.iinfo(pixels.dtype).max
+    behind = box[..., :3].mean(axis=-1) + (white - box[..., 3:]).sum(axis=-1)
+    bright = np.average(behind, weights=masks[0][..., 0]) > 0.5 * white
+    color = np.full(pixels.shape[-1], white, dtype=np.float32)  # alpha, if any, remains white
+    for mask, is_white in zip(masks, (bright, not bright), strict=True):
+        color[:3] = white * is_white
+        box[:] = np.round(box + (color - box) * mask)
 
 
 MOVING = (".gif", ".webp", ".mp4")
@@ -123,9 +163,8 @@ def _checked(images: Iterable[Any], path: str) -> Iterator[NDArray[np.uint8]]:
             raise InputError(f"image = {quoted(image)}: give an array (H, W, 3) of uint8")
         shape = shape or image.shape
         if image.shape != shape:
-            raise InputError(
-                f"shapes {shape} and {image.shape} in {path} differ: give images of one size"
-            )
+            problem = f"shapes {shape} and {image.shape} in {path} differ"
+            raise InputError(f"{problem}: give images of one size")
         yield image
 
 
@@ -187,7 +226,5 @@ def _ffmpeg() -> str:
 
         return str(get_ffmpeg_exe())
     except (ImportError, RuntimeError) as error:
-        raise InputError(
-            f"an .mp4 needs ffmpeg ({reason(error)}): pip install 'facerender[mp4]', or give .gif "
-            "or .webp"
-        ) from None
+        remedy = "pip install 'facerender[mp4]', or give .gif or .webp"
+        raise InputError(f"an .mp4 needs ffmpeg ({reason(error)}): {remedy}") from None

@@ -47,13 +47,8 @@ def _levels() -> NDArray[np.uint32]:
 
 
 def encode_srgb8(linear: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Encode linear radiance as 8-bit sRGB: the nearest of the 256 levels. Radiance 1 is white, and
-    NaN is black.
-
-    The table takes a fifth of the time of the power function.
-
-    linear : linear radiance (N, ...)
-    """
+    """Encode linear radiance (N, ...) as 8-bit sRGB: the nearest of the 256 levels. Radiance 1 is
+    white, and NaN is black. The table takes a fifth of the time of the power function."""
     encoded = np.empty(linear.shape, dtype=np.uint8)
     for rows in _blocks(linear):
         values = np.fmax(linear[rows], _LEAST, dtype=np.float32)
@@ -107,28 +102,20 @@ HALVED = 2.0**-11 / 3.0**0.5  # relative RMS error of rounding to half floats
 
 @dataclass(frozen=True, eq=False)
 class ImageData:
-    """A decoded image.
+    """A decoded image."""
 
-    pixels : (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or
-        sRGB uint8. If there are 2 or 4 channels, the last channel is alpha
-    encoding : "linear" or "srgb8"
-    name : name for messages, such as the file name
-    metadata : texts stored in the file
-    color_space : colour space that the file specifies; "" for sRGB or if the file specifies none
-    profile : name of the ICC profile from which the colours were converted to sRGB, "" for none
-    jpeg : whether the file is a JPEG, so that compression has changed the pixels
-    noise : RMS error of the pixels. For a linear image, the error of rounding to half or 24-bit
-        floats, divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the colour
-        conversion, in 8-bit levels
-    """
-
+    # (H, W, 1 to 4), row 0 on top; linear float32 (float16 if read from a half-float EXR) or sRGB
+    # uint8. If there are 2 or 4 channels, the last channel is alpha.
     pixels: NDArray[Any]
     encoding: Encoding
-    name: str
-    metadata: Mapping[str, str] = field(default_factory=dict)
-    color_space: str = ""
-    profile: str = ""
-    jpeg: bool = False
+    name: str  # name for messages, such as the file name
+    metadata: Mapping[str, str] = field(default_factory=dict)  # texts stored in the file
+    color_space: str = ""  # that the file specifies; "" for sRGB or if the file specifies none
+    profile: str = ""  # name of the ICC profile that was converted to sRGB, "" for none
+    jpeg: bool = False  # whether the file is a JPEG, so that compression has changed the pixels
+    # RMS error of the pixels. For a linear image, the error of rounding to half or 24-bit floats,
+    # divided by max(radiance, 0.01). For an 8-bit image, the rounding error of the colour
+    # conversion, in 8-bit levels.
     noise: float = 0.0
 
     def renamed(self, name: str) -> ImageData:

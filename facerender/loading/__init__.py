@@ -259,7 +259,7 @@ def load_mesh(
         from facerender.loading import from_trimesh
 
         name, unit = from_trimesh.name_of(source), from_trimesh.millimetres_of(source)
-        read = partial(from_trimesh.pieces_of, source, name)
+        read = lambda axes, _: from_trimesh.pieces_of(source, name, axes)  # noqa: E731
         mesh = _assembled(read, name, unit, _opened(_maps(options)), options)
     else:
         mesh_source = options.source if source is options else source_of(source, kind)
@@ -363,13 +363,19 @@ def _upright(pieces: Sequence[Piece], name: str) -> NDArray[np.float64]:
 
 
 def _pieces(
-    source: Source, references: References, albedo_given: bool, axes: NDArray[np.float64] | None
+    source: Source,
+    references: References,
+    albedo_given: bool,
+    axes: NDArray[np.float64] | None,
+    stored: Sequence[Piece] | None,
 ) -> Sequence[Piece]:
     """Return a piece for every geometry with faces. The readers are imported here: a mesh from the
     cache does not need them. If ``albedo_given``, the caller replaces albedo maps, which may then
-    be missing or unreadable."""
+    be missing or unreadable. ``stored`` is the result without axes, if it is known."""
     read: Callable[[bytes, References, bool], Sequence[Piece]]
     suffix = source.suffix
+    if stored and (axes is None or suffix not in GLTF):
+        return stored if axes is None else [placed(piece, axes) for piece in stored]
     if suffix in GLTF:
         from facerender.loading.gltf import read_gltf
 
@@ -401,19 +407,20 @@ def _pieces(
 
 @np.errstate(all="ignore")  # clean() drops faces whose vertices overflow
 def _assembled(
-    read: Callable[[NDArray[np.float64] | None], Sequence[Piece]],
+    read: Callable[[NDArray[np.float64] | None, Sequence[Piece] | None], Sequence[Piece]],
     name: str,
     millimetres: float | None,
     textures: Mapping[str, Texture],
     options: MeshFile,
 ) -> Mesh:
     """Return the mesh of the pieces that ``read`` returns for their axes; see :func:`axes_of`. With
-    ``up="auto"``, ``read`` is called twice, because poses of a glTF file follow the axes."""
+    ``up="auto"``, it is called twice, because poses of a glTF file follow the axes."""
     from facerender.loading.conventions import apply_names
 
-    upright = _upright(read(None), name) if options.up == "auto" else None
+    stored = read(None, None) if options.up == "auto" else None
+    upright = None if stored is None else _upright(stored, name)
     axes = vectors.axes_of(options.up or "y", options.rotate or (0.0, 0.0, 0.0), upright)
-    pieces = clean(read(axes), name)
+    pieces = clean(read(axes, stored), name)
     apply_names(pieces, name, options.as_is)
     for piece in pieces:
         piece.faces = in_space_order(piece.faces, piece.positions)

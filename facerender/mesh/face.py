@@ -24,9 +24,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from facerender.mesh.part import Face, Float
+from facerender.mesh.part import Face
 from facerender.mesh.repair import face_normals
 from facerender.system.files import data_dir
+from facerender.values.vectors import Float, Integers
 
 _Bands = list[tuple[Float, Float]]
 
@@ -54,8 +55,7 @@ _DAMPING = np.diag([2.0, 2.0, 2.0, 2.0, 2.0, 0.01, 8.0, 20.0, 20.0, 20.0])
 
 
 class Surface:
-    """Triangles with corners (F, 3, 3): normals with the length of twice the area, these areas, and
-    the middles (3, F)."""
+    """Triangles with corners (F, 3, 3): normals of twice the area, areas, middles (3, F)."""
 
     def __init__(self, corners: Float) -> None:
         self.corners, self.normals = corners, face_normals(corners)
@@ -75,8 +75,7 @@ class Surface:
 
 
 class _Poses(NamedTuple):
-    """Poses of a relief: tip of the nose (N, 3); axes (N, 3, 3), rows right, up, front; size (N,),
-    the distance of the eyes."""
+    """Poses of a relief: nose tip (N, 3), axes right, up, front (N, 3, 3), eye distance (N,)."""
 
     tip: Float
     axes: Float
@@ -296,7 +295,7 @@ class _Grid:
         axes = np.stack([right, np.cross(front, right), front], axis=1)
         self.tips = _Poses(self.mean[peaks], axes, np.full(len(peaks), size))
 
-    def _keys(self, cells: Any) -> NDArray[np.int64]:
+    def _keys(self, cells: Any) -> Integers:
         """Return the numbers of cells from three coordinates in cells, clipped to the grid."""
         columns = zip(cells, self.last, self.steps, strict=True)
         keys = (np.clip(c, 0, end).astype(np.int32) * np.int32(step) for c, end, step in columns)
@@ -323,8 +322,7 @@ class _Grid:
 
 
 class _Map:
-    """Heights of a relief with their slopes along x and y, (3, K), and weights, at points x and y,
-    for correlation and for Gauss-Newton steps."""
+    """Heights of a relief and slopes along x and y, (3, K), with weights (K,), at points (2, K)."""
 
     def __init__(self, positions: Float, columns: Float, weights: Float) -> None:
         self.positions, self.heights, self.weights = positions, columns[0], weights

@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.mesh.face import Surface, find_faces
-from facerender.mesh.part import Face, Float, Framing, Part, Region, Space
+from facerender.mesh.part import Face, Framing, Part, Region, Space
+from facerender.values.vectors import Float, Mask
 
 # Regions of a face in distances between the eyes, from the middle of the eyes: lower end, upper end
 # and half the width. Source: Farkas (1994), "Anthropometry of the head and face".
@@ -46,8 +46,7 @@ _EYE_WORDS = {"eye", "eyeball", "eyeballs", "eyes"}
 def framing_of(
     parts: Sequence[Part], space: Space, profile: Float, face: Face | None = None
 ) -> Framing:
-    """Find the face of a mesh, unless it is known, and its regions. For the parameters see
-    :class:`facerender.mesh.geometry.Geometry`."""
+    """Find the face of a mesh, unless it is known, and its regions; see :class:`Geometry`."""
     corners = [space.normalised(part.positions)[part.faces] for part in parts]
     surface, source, clear = Surface(np.concatenate(corners)), "", True
     points = np.ascontiguousarray(surface.corners.reshape(-1, 3).T)
@@ -115,7 +114,7 @@ def words_of(name: str) -> list[str]:
     return [word.lower() for word in _WORD.findall(name)]
 
 
-def _named(part: Part, corners: Float, space: Space) -> NDArray[np.bool_]:
+def _named(part: Part, corners: Float, space: Space) -> Mask:
     """Return a mask of a part's triangles that belong to a head by the names in the mesh file.
     Joints restrict named parts, because a part may be a whole body."""
     if part.head is None or not _HAIR_WORDS.isdisjoint(words_of(part.name)):

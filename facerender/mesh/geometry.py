@@ -1,8 +1,7 @@
 """The geometry of a mesh, which never changes, and its poses.
 
 Materials change by option and the pose changes by frame; the geometry stays. Each of these values
-owns what derives from it: a cache is an attribute of the value that it derives from, and dies with
-that value."""
+owns what derives from it: a cache is an attribute of that value, and dies with it."""
 
 from __future__ import annotations
 
@@ -65,8 +64,7 @@ class Corners:
 
     def normal_sums(self, positions: Sequence[Float]) -> list[Float]:
         """Return, for each vertex of each part with positions (N, 3), the sum of the normals of its
-        faces, weighted by their areas. Vertices that share position and normal in the reference
-        pose share the sum."""
+        faces, weighted by their areas. The vertices of a group share the sum."""
         _, normals = face_normals(np.ascontiguousarray(np.concatenate(positions).T), self.faces)
         sums = [np.add.reduceat(column[self.order], self.starts)[self.groups] for column in normals]
         return np.split(np.stack(sums, axis=1), np.cumsum([*map(len, positions)])[:-1])
@@ -74,8 +72,7 @@ class Corners:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """The parts of a mesh in the reference pose. All meshes that differ only in materials or in the
-    pose share it."""
+    """The parts of a mesh in the reference pose, which its other materials and poses share."""
 
     name: str
     parts: tuple[Part, ...]
@@ -280,8 +277,8 @@ def posed(
             try:
                 positions[index], new_normals = rig.posed(world_matrices, mixed)
             except ValueError as error:
-                problem = f"a shape of {rest.name} is damaged ({error})"
-                raise InputError(f"{problem}; export it again") from None
+                cause = f"a shape of {rest.name} is damaged ({error})"
+                raise InputError(f"{cause}; export it again") from None
             normals[index] = part.normals if new_normals is None else new_normals
             if new_normals is not None and not np.isfinite(new_normals).all():
                 new_normals[~np.isfinite(new_normals).all(axis=1)] = 0.0
@@ -314,17 +311,14 @@ def _known(nouns: str, names: Sequence[str]) -> str:
 def _clip_values(
     geometry: Geometry, clips: Sequence[Clip], name: str | None, time: float | None
 ) -> dict[int, dict[str, Sequence[float]]]:
-    """Return the values of a clip, or of the first clip if only a time is given, at the time. For
-    the keys see :meth:`Clip.at`."""
+    """Return the values of a clip, or of the first one for None, at a time; see :meth:`Clip.at`."""
     if name is None and time is None:
         return {}
     clip = next((clip for clip in clips if name in (None, clip.name)), None)
     if clip is None:
-        problem = (
-            f"time = {quoted(time)} needs a clip" if name is None else f"clip = {quoted(name)}"
-        )
+        cause = f"time = {quoted(time)} needs a clip" if name is None else f"clip = {quoted(name)}"
         known = _known("clips", [clip.name for clip in clips])
-        raise InputError(f"{problem}, which {geometry.name} lacks: {known}")
+        raise InputError(f"{cause}, which {geometry.name} lacks: {known}")
     label = f"clip {quoted(clip.name)}"
     if clip.fault:
         raise InputError(f"{label} of {geometry.name} is damaged ({clip.fault}); export it again")

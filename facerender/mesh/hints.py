@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from facerender.errors import InputError, clipped, note, warn
 from facerender.material import Material
 from facerender.mesh.mesh import Mesh, coordinates, largest_opacity
-from facerender.mesh.part import Float, Part
+from facerender.mesh.part import Part
 from facerender.mesh.repair import double_areas
 from facerender.texture.texture import Texture
-from facerender.values.vectors import MILLIMETRES, axis_of, upright_of
+from facerender.values.vectors import MILLIMETRES, Array, Float, axis_of, upright_of
 
 _Pieces = Sequence[tuple[Part, Float]]
 
@@ -61,8 +61,7 @@ def emit_all(mesh: Mesh) -> None:
 
 
 def emit(mesh: Mesh, hint: Callable[..., str | None], line: str | None) -> None:
-    """Emit the result of a hint: as a warning once for each mesh, and for each image that records
-    its warnings."""
+    """Emit a hint: as a warning once per mesh, and for each image that records its warnings."""
     if line is not None:
         emitted = mesh.geometry.derived.setdefault("emitted", set())
         (note if hint in emitted else warn)(line)
@@ -136,8 +135,7 @@ def _sample(pieces: _Pieces) -> list[Float]:
 
 
 def _detail(faces: Sequence[Float], image: NDArray[np.uint8]) -> Sequence[float]:
-    """Return the rank correlation of the map's detail with the curvature, and the same with
-    reversed v."""
+    """Return the rank correlation of the map's detail and the curvature, also with reversed v."""
     centers, _, curvature = faces
     if not len(curvature) or np.ptp(curvature) == 0.0:
         return 0.0, 0.0
@@ -192,7 +190,7 @@ def _both(uv: Float) -> tuple[Float, Float]:
     return uv, uv * (1.0, -1.0) + (0.0, 1.0)
 
 
-def _texels(image: NDArray[Any], uv: Float) -> NDArray[Any]:
+def _texels(image: Array, uv: Float) -> Array:
     """Return the texels of an image, with row 0 at the bottom, at texture coordinates."""
     height, width = image.shape[:2]
     columns, rows = ((uv % 1.0) * (width, height)).astype(np.int64).T
@@ -200,8 +198,7 @@ def _texels(image: NDArray[Any], uv: Float) -> NDArray[Any]:
 
 
 def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
-    """Return the differences between each texel and its neighbours, summed over neighbours and
-    colours. The image repeats."""
+    """Return the summed differences between each texel and its neighbours. The image repeats."""
     texels = image.astype(np.int32)
     total = np.zeros(image.shape[:2], dtype=np.int32)
     for axis in (0, 1):
@@ -210,7 +207,7 @@ def _contrast(image: NDArray[np.uint8]) -> NDArray[np.int32]:
     return total
 
 
-def _ranks(values: NDArray[Any]) -> Float:
+def _ranks(values: Array) -> Float:
     """Return the ranks of values, with mean 0. Equal values have equal ranks."""
     _, indices, counts = np.unique(values, return_inverse=True, return_counts=True)
     return np.asarray((np.cumsum(counts) - 0.5 * counts - 0.5 * len(values))[indices])
@@ -294,18 +291,14 @@ def _least_slope(part: Part, material: Material, decode: bool) -> float:
 def too_clear(mesh: Mesh, threshold: float) -> str | None:
     """Return a hint if data images lack a part, because its opacity is below a threshold
     everywhere. Decodes the opacity maps of blended parts."""
-    names = [
-        part.name or "the part without a name"
-        for part, material in zip(mesh.parts, mesh.materials, strict=True)
-        if material.alpha == "blend"
-        and not material.transmission
-        and largest_opacity(part, material) < threshold
-    ]
-    if not names:
+    pairs = zip(mesh.parts, mesh.materials, strict=True)
+    blended = [(p, m) for p, m in pairs if m.alpha == "blend" and not m.transmission]
+    clear = [part for part, material in blended if largest_opacity(part, material) < threshold]
+    if not clear:
         return None
     problem = f"parts of {mesh.name} whose opacity is below {threshold:g} everywhere"
     remedy = "give a lower --alpha-threshold to include them"
-    listing = clipped(", ".join(names), 200)
+    listing = clipped(", ".join(part.name or "the part without a name" for part in clear), 200)
     return f"data images and landmarks omit {problem}: {listing}; {remedy}"
 
 
@@ -329,17 +322,14 @@ def millimetres_of(mesh: Mesh) -> tuple[float, bool] | None:
 
 
 def known_millimetres(mesh: Mesh) -> float | None:
-    """Return the length of a mesh unit in mm: the mesh's, or else the probable one if it is
-    certain; None if it would be a guess."""
-    if mesh.millimetres is not None:
-        return mesh.millimetres
-    length, certain = millimetres_of(mesh) or (None, False)
-    return length if certain else None
+    """Return the length of a mesh unit in mm, from the mesh or its eyes; None for a guess."""
+    if mesh.millimetres is None and (probable := millimetres_of(mesh)) and probable[1]:
+        return probable[0]
+    return mesh.millimetres
 
 
 def unit_of(mesh: Mesh) -> str | None:
-    """Return the option that sets the length of a mesh unit, with the reason; None if the length is
-    not probable."""
+    """Return the option that sets the length of a mesh unit, with the reason; None if unknown."""
     if (result := millimetres_of(mesh)) is None:
         return None
     length, certain = result

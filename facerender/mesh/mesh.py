@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from facerender.errors import InputError, number_of, quoted, warn
 from facerender.material import MAPS, Alpha, Material, changed, check_maps, without_effect
 from facerender.mesh.geometry import Geometry, MeshPose, are_closed, clips_of, posed, unit_or
-from facerender.mesh.part import Face, Float, Part, Region, Space, TriangleSetup, used
+from facerender.mesh.part import Face, Part, Region, Space, TriangleSetup, used
 from facerender.mesh.repair import Piece, clean, indices_of, linear_colors, split_at_seams, unique
 from facerender.values.fields import IntegerRange, parameters
-from facerender.values.vectors import rows_of
+from facerender.values.vectors import Float, rows_of
 
 TRIANGLES = IntegerRange(1, math.inf)  # accepted triangle limits of a simplified mesh
 
@@ -299,13 +299,11 @@ class Mesh:
         return self._changed(self.skin, changes)
 
     def with_positions(self, positions: Any, normals: Any = None) -> Mesh:
-        """Return the mesh in another pose: moved vertices, with the same triangles, texture
-        coordinates and materials.
+        """Return the mesh in another pose: moved vertices with the same triangles and materials.
 
         A renderer only updates its vertex buffers. Cameras frame the reference pose, which is the
         mesh of the first call, so that the image stays while the face moves. See
-        :func:`facerender.tracked`. Baked occlusion remains that of the reference pose, with a
-        FacerenderWarning.
+        :func:`facerender.tracked`. Baked occlusion does not change, with a FacerenderWarning.
 
         Parameters
         ----------
@@ -315,8 +313,7 @@ class Mesh:
             of the file: rotation and registration are applied. At most 1e6 mesh radii from the
             centre
         normals : like positions, vectors of any length. None to compute them: area-weighted means
-            of face normals, also across texture seams and parts. Creases of the reference pose
-            remain creases
+            of face normals, also across texture seams and parts, but not across creases
         """
         arrays = {"positions": positions, "normals": normals}
         columns = [_rows_of_parts(self, *pair) for pair in arrays.items()]
@@ -410,8 +407,7 @@ def largest_opacity(part: Part, material: Material) -> float:
 
 
 def slope_range(part: Part, material: Material) -> tuple[float, float]:
-    """Return the smallest and largest m of a part over all lobes. A roughness map without texture
-    coordinates is ignored."""
+    """Return the smallest and largest m of a part over all lobes; a map without uv is ignored."""
     if coordinates(part, material, "roughness_map") is None:
         return material.with_second(material.m, material.m)
     return material.slopes
@@ -424,8 +420,7 @@ def warn_of_one_lobe(name: str, field: str) -> None:
 
 
 def names_of(option: str, names: Any) -> tuple[str, ...]:
-    """Return part names from one text with commas or from several texts. Raises InputError for a
-    value that is not text."""
+    """Return part names from a text with commas or several texts. Raises InputError otherwise."""
     several = names.split(",") if isinstance(names, str) else names
     texts = [*several] if isinstance(several, Iterable) else [several]
     if not all(isinstance(text, str) for text in texts):
@@ -456,8 +451,7 @@ def _rows_of_parts(mesh: Mesh, name: str, values: Any) -> list[Float | None]:
 
 
 def _split(name: str, array: Any, parts: Sequence[Part], owner: str) -> list[Float]:
-    """Return the rows of an array for each part. The array has a row for each vertex of all parts
-    in order, or for each vertex of their file."""
+    """Return the rows of an array, one for each vertex of all parts or of their file, by part."""
     rows = rows_of(name, array, (3,))
     counts = [len(part.positions) for part in parts]
     sources = {part.source_count for part in parts if part.sources is not None}

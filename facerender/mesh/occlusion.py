@@ -1,12 +1,10 @@
-"""Ambient occlusion at vertices, for meshes without occlusion maps. The package embreex traces the
-rays with Embree."""
+"""Ambient occlusion at vertices, for meshes without occlusion maps. Embree traces the rays."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender import __version__
 from facerender.errors import warn
@@ -15,9 +13,7 @@ from facerender.mesh.part import Part
 from facerender.system import cache as disk_cache
 from facerender.system.files import digest_of
 from facerender.system.process import optional
-
-Floats = NDArray[np.float32]
-Numbers = NDArray[np.int64]
+from facerender.values.vectors import Array, Float, Float32
 
 DIRECTIONS = 512  # ray directions on the whole sphere; half of them are on a vertex's outer side
 # Distance of ray origins from the surface, in mesh radii; float32 resolves 1e-7 mesh radii.
@@ -68,7 +64,7 @@ def with_occlusion(mesh: Mesh, *, cache: bool = False) -> Mesh:
     return Mesh(geometry, mesh.materials, pose)
 
 
-def _values(vertices: NDArray[np.float64], faces: Numbers, cache: bool) -> NDArray[np.float64]:
+def _values(vertices: Float, faces: Array, cache: bool) -> Float:
     """Return the occlusion of vertices, given as rows (N, 6) of position and normal, with the disk
     cache if ``cache`` is true. Vertices that no face uses get 1."""
     version = repr((__version__, DIRECTIONS, _OFFSET, vertices.shape, faces.shape))
@@ -86,9 +82,7 @@ def _values(vertices: NDArray[np.float64], faces: Numbers, cache: bool) -> NDArr
     return occlusion
 
 
-def _open_fraction(
-    positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers
-) -> NDArray[np.float64]:
+def _open_fraction(positions: Float32, faces: Array, vertices: Float32, corners: Array) -> Float:
     """Return the fraction of ambient light that reaches each vertex, in [0, 1]. ``vertices`` has
     rows (N, 6) of position and normal, to which ``corners``, (F, 3), refer for each face."""
     missing = "baking occlusion needs the package embreex; pip install 'facerender[rays]'"
@@ -118,7 +112,7 @@ def _open_fraction(
     return np.concatenate(fractions)
 
 
-def _off_surface(positions: Floats, faces: Numbers, vertices: Floats, corners: Numbers) -> Floats:
+def _off_surface(positions: Float32, faces: Array, vertices: Float32, corners: Array) -> Float32:
     """Return the directions in which ray origins are offset from vertices: the normal plus a
     component towards the middle of the vertex's faces. Without this component, a ray at a sharp
     edge could start in the plane of the face behind the edge."""

@@ -8,23 +8,23 @@ import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import add
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from facerender.values.vectors import Array, Float32, Integers, Mask
+from facerender.values.vectors import Float as Float
+
 if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
-
-Float = NDArray[np.float64]
 
 # Clip coordinates of corners whose bounds are the whole image.
 _EVERYWHERE = np.array([[x, y, 0.0, 1.0] for x in (-1.0, 1.0) for y in (-1.0, 1.0)] * 2)
 _EDGE_ON = 0.01  # sine of the angle between view ray and triangle
 
 
-def used(positions: Float, faces: NDArray[Any]) -> NDArray[np.bool_]:
+def used(positions: Float, faces: Array) -> Mask:
     """Return a mask of the vertices that faces use. np.unique takes fifty times as long."""
     mask = np.zeros(len(positions), dtype=bool)
     mask[faces] = True
@@ -39,8 +39,7 @@ class Space(NamedTuple):
     reach: float = 1.0  # radius of a sphere around all vertices of a pose; at least 1
 
     def normalised(self, points: ArrayLike) -> Float:
-        """Map points (..., 3) from mesh space. Computes in float64: in float32, large offsets and
-        small units would lose precision."""
+        """Map points (..., 3) from mesh space, in float64: large offsets need its precision."""
         return np.asarray((np.asarray(points, dtype=np.float64) - self.center) / self.radius)
 
 
@@ -75,15 +74,14 @@ class Part:
         return f"<Part {', '.join([repr(self.name), counts, *has])}>"
 
     @cached_property
-    def drawn(self) -> NDArray[np.bool_] | None:
+    def drawn(self) -> Mask | None:
         """Mask (N, 1) of the vertices that faces use; None if faces use all vertices."""
         mask = used(self.positions, self.faces)[:, None]
         return None if mask.all() else mask
 
     @cached_property
     def checksum(self) -> int:
-        """CRC-32 of the positions in float32, which hides differences between processors in the
-        last bits of float64."""
+        """CRC-32 of the positions in float32: last bits of float64 differ between processors."""
         with np.errstate(over="ignore"):  # a pose may exceed float32
             return zlib.crc32(self.positions.astype(np.float32).tobytes())
 
@@ -157,22 +155,8 @@ class Area(NamedTuple):
     width: int = 0
     height: int = 0
 
-    @classmethod
-    def around(cls, areas: Sequence[Area]) -> Area:
-        """Return the bounds of several areas, (0, 0, 0, 0) if all of them are empty. Others that
-        are empty are ignored."""
-        filled = [area for area in areas if area[2] and area[3]]
-        if not filled:
-            return cls()
-        lefts, lows, widths, heights = zip(*filled, strict=True)
-        left, low = min(lefts), min(lows)
-        right = max(map(add, lefts, widths))
-        return cls(left, low, right - left, max(map(add, lows, heights)) - low)
 
-
-def face_normals(
-    columns: NDArray[Any], faces: NDArray[Any]
-) -> tuple[NDArray[Any], list[NDArray[Any]]]:
+def face_normals(columns: Array, faces: Array) -> tuple[Array, list[Array]]:
     """Return the first corner and the normal of each triangle, (3, F), from x, y and z of the
     vertices, (3, N). The length of a normal is twice the triangle's area."""
     a, b, c = (columns.take(corner, axis=1) for corner in faces)
@@ -184,9 +168,9 @@ def face_normals(
 class TriangleSetup:
     """The triangles of a part in the renderer's space, as the GPU gets them."""
 
-    vertices: NDArray[np.float32]  # (N, 6), vertex positions in the renderer's space, and normals
+    vertices: Float32  # (N, 6), vertex positions in the renderer's space, and normals
     faces: NDArray[np.uint32]  # (F, 3), indices of vertices
-    positions: NDArray[np.float32] = field(init=False)  # (N, 3), the vertex positions alone
+    positions: Float32 = field(init=False)  # (N, 3), the vertex positions alone
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "positions", self.vertices[:, :3])
@@ -206,7 +190,7 @@ class TriangleSetup:
         return np.stack(np.meshgrid(*sides, [1.0]), axis=-1).reshape(-1, 4)
 
     @cached_property
-    def planes(self) -> NDArray[np.float32]:
+    def planes(self) -> Float32:
         """Unit normal of each triangle, and the distance of the origin from its plane, (4, F)."""
         columns, faces = (np.ascontiguousarray(array.T) for array in (self.positions, self.faces))
         corners, vectors = face_normals(columns, faces)
@@ -214,7 +198,7 @@ class TriangleSetup:
         normals /= np.maximum(np.linalg.norm(normals, axis=0), 1e-30)
         return np.vstack([normals, -np.einsum("ij,ij->j", normals, corners)])
 
-    def facing(self, eye: Float) -> NDArray[np.int64]:
+    def facing(self, eye: Float) -> Integers:
         """Return the indices of the triangles that can face a camera, a homogeneous point (4,).
 
         Triangles that are seen edge-on are included, because a driver rounds positions to fractions
@@ -241,7 +225,8 @@ def areas_of(
         w = np.where(behind := w.min(axis=1, keepdims=True) <= 0.0, 1.0, w)
         clip = np.where(behind, _EVERYWHERE, clip)
     corners = (clip[..., :2] / w * 0.5 + 0.5) * size
-    # The largest of negated corners are the lowest ones: one array serves all four sides.
+    # The largest of negated corners are the lowest ones: one array serves all four sides, also of
+    # a group, which ignores parts outside the image.
     sides = np.maximum.reduce(np.concatenate([-corners, corners], axis=2), 1)
     width, height = size
     sides = np.maximum(np.ceil(sides), (-width, -height, 0, 0))
@@ -249,5 +234,7 @@ def areas_of(
     rows = (Area(-left, -low, left + right, low + top) for left, low, right, top in sides.tolist())
     areas: dict[Any, Area] = dict(enumerate(rows))
     for name, indices in groups.items():
-        areas[name] = Area.around([areas[index] for index in indices])
+        filled = [sides[i] for i in indices if areas[i].width and areas[i].height]
+        left, low, right, top = np.max(filled, axis=0).tolist() if filled else (0, 0, 0, 0)
+        areas[name] = Area(-left, -low, left + right, low + top)
     return areas

@@ -100,10 +100,8 @@ def _face_of(mesh: Mesh) -> Face:
 
 def _to_eyes(face: Face, size: float) -> Float:
     """Return the matrix (4, 4) to a face's axes, with the middle of the eyes at 0, in ``size``."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = face.axes / size
-    matrix[:3, 3] = -matrix[:3, :3] @ face.eyes.mean(axis=0)
-    return matrix
+    linear = face.axes / size
+    return np.vstack([np.c_[linear, -linear @ face.eyes.mean(axis=0)], np.eye(4)[3]])
 
 
 def _sampled(mesh: Mesh, matrix: Float, count: int) -> tuple[Float, Float]:
@@ -111,9 +109,7 @@ def _sampled(mesh: Mesh, matrix: Float, count: int) -> tuple[Float, Float]:
     parts = [mesh.geometry.parts[i] for i in mesh.skin]
     corners = np.concatenate([transformed(p.positions, None, matrix)[0][p.faces] for p in parts])
     near = (np.abs(corners.mean(axis=1) - (0.0, 0.15, 0.0)) < 1.4).all(axis=1)
-    if not near.any():
-        return np.empty((3, 0)), np.empty((3, 0))
-    surface = Surface(corners[near])
+    surface = Surface(corners[near | (not near.any())])  # points far away get no pairs
     points, triangles = surface.sampled(count, np.arange(len(surface.areas)))
     return points, unit(surface.normals[triangles]).T
 
@@ -150,16 +146,16 @@ def _motion(points: Float, normals: Float, cells: Float) -> tuple[Float, float] 
         index = _indices(moved)
         middles, planes = np.split(cells[:, index], 2)
         distances = ((moved - middles) * planes).sum(axis=0)
-        paired = ((turned * planes).sum(axis=0) > 0.0) & (np.abs(distances) < _FAR)
-        if np.count_nonzero(np.bincount(index[paired])) < _OVERLAP * cells.shape[1]:
+        near = ((turned * planes).sum(axis=0) > 0.0) & (np.abs(distances) < _FAR)
+        if np.count_nonzero(np.bincount(index[near])) < _OVERLAP * cells.shape[1]:
             return None
-        order = np.argsort(np.where(paired, np.abs(distances), np.inf), kind="stable")
-        count = np.count_nonzero(paired)
-        median, counted = float(abs(distances[order[count // 2]])), order[: int(_COUNTED * count)]
-        planes = planes[:, counted]
-        rows = np.concatenate([np.cross(moved[:, counted], planes, axis=0), planes])
-        system, right = np.einsum("in,jn->ij", rows, rows), rows @ distances[counted]
-        step = np.linalg.solve(system, -right)
+        pairs = np.flatnonzero(near)
+        pairs = pairs[np.argsort(np.abs(distances[pairs]), kind="stable")]
+        median = float(abs(distances[pairs[len(pairs) // 2]]))
+        pairs = pairs[: int(_COUNTED * len(pairs))]
+        planes = planes[:, pairs]
+        rows = np.concatenate([np.cross(moved[:, pairs], planes, axis=0), planes])
+        step = np.linalg.solve(rows @ rows.T, -rows @ distances[pairs])
         turn = [*(step[:3] / 2.0), 1.0]  # quaternion of a small rotation
         motion = local_matrix({"rotation": turn, "translation": step[3:]}) @ motion
         if np.abs(step).max() < _SMALL:
@@ -169,28 +165,27 @@ def _motion(points: Float, normals: Float, cells: Float) -> tuple[Float, float] 
 
 def _moved(mesh: Mesh, matrix: Float) -> Mesh:
     """Return a mesh after a rigid motion (4, 4), with its face, its rig and its pose."""
+    turn, shift = matrix[:3, :3], matrix[:3, 3]
 
     def moved(part: Part) -> Part:
-        positions, normals, _ = transformed(part.positions, part.normals, matrix)
         rig = part.rig
         if rig is not None:
             root = matrix if rig.skeleton.root is None else matrix @ rig.skeleton.root
             rig = replace(rig, skeleton=replace(rig.skeleton, root=root))
-        assert normals is not None
+        positions, normals = part.positions @ turn.T + shift, part.normals @ turn.T
         # Framing does not need the bounds of the head's joints, because the face is known.
         return replace(part, positions=positions, normals=normals, rig=rig, head=None)
 
-    old, turn = mesh.geometry, matrix[:3, :3]
-    geometry = Geometry.of(old.name, [*map(moved, old.parts)], old.millimetres)
-    face = _face_of(mesh)
-    eyes = transformed(face.eyes, None, matrix)[0]
+    old, face = mesh.geometry, _face_of(mesh)
+    eyes = face.eyes @ turn.T + shift
     face = replace(face, eyes=eyes, up=turn @ face.up, front=turn @ face.front)
+    geometry = Geometry.of(old.name, [*map(moved, old.parts)], old.millimetres)
     geometry = replace(
         geometry,
         gloss=old.gloss,
         known_framing=framing_of(geometry.parts, geometry.space, geometry.profile, face),
         rotation=turn if old.rotation is None else turn @ old.rotation,
-        shift=tuple((turn @ old.shift + matrix[:3, 3]).tolist()),
+        shift=tuple((turn @ old.shift + shift).tolist()),
     )
     pose = mesh.pose and MeshPose(geometry, tuple(map(moved, mesh.parts)), geometry.bounds)
     return replace(mesh, geometry=geometry, pose=pose)

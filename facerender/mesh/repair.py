@@ -1,11 +1,10 @@
-"""Pieces, which are parts before repair, and safe repairs of mesh geometry: bad faces, missing
-normals, winding."""
+"""Pieces, which are parts before repair, and safe repairs: bad faces, missing normals, winding."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,13 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 from facerender.errors import InputError, clipped, warn
 from facerender.images.image import srgb_to_linear
 from facerender.material import Material
-from facerender.mesh.part import Float, Part, used
-from facerender.values.vectors import rows_of, transformed
+from facerender.mesh.part import Part, used
+from facerender.values.vectors import Array, Float, Integers, Mask, rows_of, transformed
 
 if TYPE_CHECKING:
     from facerender.mesh.rig import Rig
-
-Integers = NDArray[np.int64]
 
 # Largest coordinate and smallest extent of a mesh. Within these limits, areas, squared areas and
 # products of areas with positions neither overflow nor become 0 in float64.
@@ -99,7 +96,7 @@ def placed(piece: Piece, transform: Float) -> Piece:
     return replace(piece, positions=positions, faces=faces, normals=normals)
 
 
-def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Piece:
+def with_faces(piece: Piece, faces: Array, vertices: Array) -> Piece:
     """Return a piece with other faces, (F, 3), which are indices into ``vertices``, (N,). These are
     indices of vertices of the piece, which are copied; an index may occur more than once."""
     columns = ((name, getattr(piece, name)) for name in VERTEX_ARRAYS)
@@ -110,8 +107,7 @@ def with_faces(piece: Piece, faces: NDArray[Any], vertices: NDArray[Any]) -> Pie
 
 
 def with_face_colors(piece: Piece, colors: Float) -> Piece:
-    """Return a piece with a colour (F, 3) for each face: faces share a vertex only if they have the
-    same colour."""
+    """Return a piece with colours (F, 3) of faces: only faces of one colour share vertices."""
     palette, numbers = np.unique(colors, axis=0, return_inverse=True)
     corners = piece.faces * len(palette) + numbers.reshape(-1, 1)
     keys, inverse = np.unique(corners, return_inverse=True)
@@ -121,7 +117,7 @@ def with_face_colors(piece: Piece, colors: Float) -> Piece:
 
 def indices_of(
     name: str, indices: ArrayLike, count: int, noun: str, uses: str, hint: str = ""
-) -> NDArray[np.int64]:
+) -> Integers:
     """Return indices (F, 3) in [0, count) from an array or nested lists. ``noun`` names the indices
     in messages, and ``uses`` begins the message about an invalid one."""
     rows = rows_of(name, indices, (3,), hint)
@@ -244,7 +240,7 @@ def _drop_bad_faces(pieces: Sequence[Piece], name: str) -> None:
             warn(f"{name} has {count} {problem}")
 
 
-def _keep_faces(piece: Piece, good: NDArray[np.bool_]) -> int:
+def _keep_faces(piece: Piece, good: Mask) -> int:
     """Drop faces with a bad corner in a mask (F, 3), or (F, 1) for faces; return their number."""
     keep = good.all(axis=1)
     piece.faces = piece.faces[keep]
@@ -290,7 +286,7 @@ def _complete_normals(pieces: Sequence[Piece], name: str) -> None:
     for piece in pieces:
         if piece.normals is not None:
             length = np.linalg.norm(piece.normals, axis=1)
-            good: NDArray[np.bool_] = np.isfinite(length) & (length > 0.0)
+            good: Mask = np.isfinite(length) & (length > 0.0)
             if good[piece.faces].all():
                 normals = piece.normals = piece.normals / np.where(good, length, 1.0)[:, None]
                 # Reverse the winding of each face that faces away from its vertices' normals.

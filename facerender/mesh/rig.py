@@ -10,15 +10,12 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from facerender.values.vectors import rotation_of, transformed
+from facerender.values.vectors import Array, Float, rotation_of, transformed
 
-Float = NDArray[np.float64]
-Array = NDArray[Any]
 AnimatedValues = Mapping[int, Mapping[str, Sequence[float]]]
 Path = Literal["translation", "rotation", "scale", "weights"]
 Interpolation = Literal["LINEAR", "STEP", "CUBICSPLINE"]
@@ -241,9 +238,8 @@ class Rig:
             for rows, blend in _blended(self.skin, world_matrices):
                 a, b, c, _, d, e, f, _, g, h, i, _ = blend
                 x, y, z = normals[rows].T
-                node_normals[rows] = np.stack(
-                    [a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z], axis=1
-                )
+                columns = a * x + d * y + g * z, b * x + e * y + h * z, c * x + f * y + i * z
+                node_normals[rows] = np.stack(columns, axis=1)
         shapes = tuple(replace(s, normal_rows=None, normal_moves=None) for s in self.shapes)
         return replace(self, normals=node_normals, shapes=shapes)
 

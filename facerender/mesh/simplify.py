@@ -12,13 +12,13 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, warn
 from facerender.mesh.geometry import Geometry
 from facerender.mesh.mesh import TRIANGLES, Mesh, moved
-from facerender.mesh.part import Float, Part
+from facerender.mesh.part import Part
 from facerender.mesh.repair import VERTEX_ARRAYS, double_areas
+from facerender.values.vectors import Float, Integers
 
 # Weights of errors in normal, texture coordinates (scaled to lengths on the surface in mesh radii),
 # linear colour and occlusion, and second texture coordinates. Errors in position, in extents of the
@@ -42,17 +42,10 @@ _TYPES: dict[str, tuple[Any, list[Any]]] = {
 _LEVELS = "levels of detail need the package meshoptimizer; pip install 'facerender[lod]'"
 
 
-def library(missing: str = _LEVELS) -> ctypes.CDLL:
-    """Return the compiled library of the Python package meshoptimizer. Raise InputError with the
-    text ``missing`` if the package is not installed."""
-    if (functions := _library()) is None:
-        raise InputError(missing)
-    return functions
-
-
 @cache
-def _library() -> ctypes.CDLL | None:
-    """Return the compiled library, with declared types, or None if it is not installed.
+def library(missing: str = _LEVELS) -> ctypes.CDLL:
+    """Return the compiled library of the Python package meshoptimizer, with declared types. Raise
+    InputError with the text ``missing`` if the package is not installed.
 
     The package's wrappers are not imported: they declare no types for simplify_with_attributes and
     the filters, pass 64-bit sizes as 32-bit integers, and therefore crash."""
@@ -60,7 +53,7 @@ def _library() -> ctypes.CDLL | None:
     folders = package.submodule_search_locations if package else None
     spec = PathFinder.find_spec("_meshoptimizer", folders) if folders else None
     if spec is None or spec.origin is None:
-        return None
+        raise InputError(missing)
     functions = ctypes.CDLL(spec.origin)
     for name, (result, arguments) in _TYPES.items():
         function = getattr(functions, f"meshopt_{name}")
@@ -105,7 +98,7 @@ def simplified(mesh: Mesh, triangles: int) -> Mesh:
     return replace(level, pose=mesh.pose.levels[triangles])
 
 
-def _simplify(mesh: Geometry, triangles: int) -> tuple[Geometry, list[NDArray[np.int64]]]:
+def _simplify(mesh: Geometry, triangles: int) -> tuple[Geometry, list[Integers]]:
     """Simplify all parts together, so that borders between parts stay closed and the errors of
     different parts are comparable. Also return the indices of each part's remaining vertices."""
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
@@ -137,9 +130,8 @@ def _simplify(mesh: Geometry, triangles: int) -> tuple[Geometry, list[NDArray[np
         arrays = {name: values[kept] for name, values in columns if values is not None}
         corners_of_part = inverse.reshape(part_faces.shape).astype(np.uint32)
         ordered = np.empty_like(corners_of_part)  # for the vertex cache (Sander et al. 2007)
-        library().meshopt_optimizeVertexCache(
-            ordered.ctypes.data, corners_of_part.ctypes.data, ordered.size, len(vertices)
-        )
+        pointers = ordered.ctypes.data, corners_of_part.ctypes.data
+        library().meshopt_optimizeVertexCache(*pointers, ordered.size, len(vertices))
         parts.append(Part(**arrays, faces=ordered, name=part.name, skin=part.skin))
         remaining.append(kept)
     return replace(mesh, parts=tuple(parts), known_framing=mesh.framing), remaining
@@ -151,13 +143,9 @@ def _vertices(mesh: Geometry, index: int) -> Float:
     second texture coordinates; and scaled second texture coordinates, if any part has them."""
     part = mesh.parts[index]
     count = len(part.positions)
-    columns = [
-        np.full((count, 1), index),
-        mesh.space.normalised(part.positions),
-        part.normals,
-        _on_surface(mesh, part, part.uv),
-        np.ones((count, 3)) if part.colors is None else part.colors,
-    ]
+    colors = np.ones((count, 3)) if part.colors is None else part.colors
+    columns = [np.full((count, 1), index), mesh.space.normalised(part.positions), part.normals]
+    columns += [_on_surface(mesh, part, part.uv), colors]
     second = any(mesh_part.uv2 is not None for mesh_part in mesh.parts)
     if second or any(mesh_part.occlusion is not None for mesh_part in mesh.parts):
         columns.append((np.ones(count) if part.occlusion is None else part.occlusion)[:, None])

@@ -8,15 +8,14 @@ from pathlib import PurePath
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError
 from facerender.images.files import SUFFIXES
 from facerender.images.image import ImageData, image_from_array, srgb_to_linear
 from facerender.values.fields import PATH, VectorRange
-from facerender.values.vectors import MAX_RADIANCE, Vector
+from facerender.values.vectors import MAX_RADIANCE, Array, Float32, Vector
 
-BackgroundSource: TypeAlias = "Vector | ImageData | NDArray[Any] | str | os.PathLike[str] | None"
+BackgroundSource: TypeAlias = "Vector | ImageData | Array | str | os.PathLike[str] | None"
 ENVIRONMENT = "environment"  # the background that shows the environment map
 
 
@@ -54,7 +53,7 @@ def clear_color(background: Any) -> Vector:
 
 
 @lru_cache(1)
-def covering(image: ImageData, size: tuple[int, int]) -> NDArray[np.float32]:
+def covering(image: ImageData, size: tuple[int, int]) -> Float32:
     """Return an image as linear RGB (H, W, 3), scaled to cover the size and cropped centrally. Its
     transparent pixels lie on black."""
     from PIL import Image, ImageOps
@@ -62,8 +61,6 @@ def covering(image: ImageData, size: tuple[int, int]) -> NDArray[np.float32]:
     color = image.color.astype(np.float64)
     color = srgb_to_linear(color / 255.0) if image.encoding == "srgb8" else color
     channels = np.moveaxis(np.clip(color, 0.0, MAX_RADIANCE), -1, 0).astype(np.float32)
-    scaled = [
-        np.asarray(ImageOps.fit(Image.fromarray(channel), size, Image.Resampling.BILINEAR))
-        for channel in channels
-    ]
+    images = (Image.fromarray(channel) for channel in channels)
+    scaled = [np.asarray(ImageOps.fit(i, size, Image.Resampling.BILINEAR)) for i in images]
     return np.stack(scaled * (3 // len(scaled)), axis=-1)

@@ -209,18 +209,6 @@ class Camera:
         ELEVATIONS, 0.0, "direction from the target to the camera; at 90 it looks down"
     )
     fov: float = field(Range(1.0, 150.0, "degrees"), 25.0, "vertical angle of view")
-    orthographic: bool = field(
-        SWITCH,
-        False,
-        "parallel projection, which shows lengths across the view in one scale at every depth; "
-        "excludes fov",
-    )
-    view_height: float | None = field(
-        Range(1e-9, 1e9, "mesh units"),
-        None,
-        "height of the view of an orthographic camera; excludes zoom",
-        unset="the framed region fits",
-    )
     zoom: float = field(
         Range(0.01, 1000.0),
         1.0,
@@ -277,6 +265,19 @@ class Camera:
         compare=False,
     )
 
+    orthographic: bool = field(
+        SWITCH,
+        False,
+        "parallel projection, which shows lengths across the view in one scale at every depth; "
+        "excludes fov",
+    )
+    view_height: float | None = field(
+        Range(1e-9, 1e9, "mesh units"),
+        None,
+        "height of the view of an orthographic camera; excludes zoom",
+        unset="the framed region fits",
+    )
+
     if TYPE_CHECKING:
 
         def __init__(
@@ -284,8 +285,6 @@ class Camera:
             azimuth: float | str = ...,
             elevation: float = ...,
             fov: float = ...,
-            orthographic: bool = ...,
-            view_height: float | None = ...,
             zoom: float = ...,
             target: Vector | None = ...,
             position: Vector | None = ...,
@@ -295,6 +294,8 @@ class Camera:
             size: int | tuple[int, int] | None = ...,
             distortion: Sequence[float] | Float | None = ...,
             name: str = ...,
+            orthographic: bool = ...,
+            view_height: float | None = ...,
         ) -> None: ...
 
     @classmethod

@@ -12,7 +12,7 @@ from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from facerender.errors import InputError, clipped, quoted, reason
 from facerender.loading.gltf import scene_nodes
@@ -22,7 +22,7 @@ from facerender.scene.camera import CAMERA_FILES, MAX_CAMERAS, Camera, named, wo
 from facerender.scene.job import MAX_TEXT_BYTES, load_scene
 from facerender.system.files import read_file, suffix_of
 from facerender.values.fields import PATH, build
-from facerender.values.vectors import IMAGE_SIZES, axes_of
+from facerender.values.vectors import IMAGE_SIZES, Float, axes_of
 
 _DISTORTION = ("distortion", "dist", "distCoeffs", "D")  # names of the distortion coefficients
 _VECTORS = ("t", "size", *_DISTORTION)
@@ -59,9 +59,8 @@ def load_cameras(
     Raises InputError if the file cannot be read, has no camera, or has an invalid camera.
     """
     size = None if size is None else IMAGE_SIZES.check("size", size)
-    suffix = suffix_of(
-        PATH.check("camera file", path), (*CAMERA_FILES, *GLTF), "camera", "a camera file"
-    )
+    file = PATH.check("camera file", path)
+    suffix = suffix_of(file, (*CAMERA_FILES, *GLTF), "camera", "a camera file")
     name = clipped(Path(path).name)
     if (axes := axes_of(up, rotate)) is not None and suffix not in GLTF:
         raise InputError(f"{name} is no glTF file: leave up and rotate out, and rotate its cameras")
@@ -83,7 +82,7 @@ def load_cameras(
     return named(cameras, Path(path).stem)
 
 
-def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) -> dict[str, Camera]:
+def gltf_cameras(content: bytes, name: str, axes: Float | None) -> dict[str, Camera]:
     """Return the cameras of a glTF scene, keyed by the name of the node or, if the node has no
     name, by the name of the camera. For ``axes`` see :func:`axes_of`."""
     document = document_of(chunks(content, name)[0], name)
@@ -103,8 +102,7 @@ def gltf_cameras(content: bytes, name: str, axes: NDArray[np.float64] | None) ->
         elif "perspective" in camera:
             lens["fov"] = math.degrees(camera["perspective"]["yfov"])
         else:
-            cause = f"camera {quoted(label)} of {name} has no projection"
-            raise InputError(f"{cause}: give perspective or orthographic")
+            raise InputError(f"camera {quoted(label)} of {name} has no projection: give one")
         cameras.append(Camera(**lens, extrinsics=pose, name=label))
     if not cameras:
         raise InputError(f"{name} has no camera: give another file or camera angles")
@@ -154,7 +152,6 @@ def _of_frame(shared: dict[str, Any], frame: Any, size: tuple[int, int] | None) 
 
 
 def _arrays(content: bytes) -> list[dict[str, Any]]:
-    """Return a table for each camera of a NumPy file."""
     try:
         with ZipFile(BytesIO(content)) as file:
             if sum(entry.file_size for entry in file.infolist()) > MAX_TEXT_BYTES:

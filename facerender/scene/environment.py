@@ -24,16 +24,7 @@ from facerender.images.image import encode_srgb8
 from facerender.scene.light import Light
 from facerender.system.files import read_file, suffix_of
 from facerender.terms.model import MAX_RADIUS
-from facerender.values.fields import (
-    PATH,
-    TEXT,
-    Instance,
-    Range,
-    build,
-    field,
-    field_of,
-    record,
-)
+from facerender.values.fields import PATH, TEXT, Instance, Range, build, field, field_of, record
 from facerender.values.vectors import AZIMUTHS, MAX_RADIANCE, direction_to, numbers_in, unit
 
 Float = NDArray[np.float64]
@@ -233,13 +224,9 @@ def _divided(panorama: Panorama, count: int) -> PanoramaLights:
         radii = np.degrees(np.arccos(np.clip(2.0 * length - 1.0, -1.0, 1.0)))
         radii = np.clip(radii, _LEAST_RADIUS, MAX_RADIUS)
         reach = np.clip(2.0 * radii, 180.0 / _CELLS, MAX_RADIUS)
-    return PanoramaLights(
-        centres,
-        radii,
-        sums_of(energy, inside),
-        sums_of(energy, ~inside),
-        _coefficients(np.where(inside[:, None], 0.0, energy), points),
-    )
+    irradiance, around = sums_of(energy, inside), sums_of(energy, ~inside)
+    coefficients = _coefficients(np.where(inside[:, None], 0.0, energy), points)
+    return PanoramaLights(centres, radii, irradiance, around, coefficients)
 
 
 @record("environment ")

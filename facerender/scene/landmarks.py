@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, quoted, reason
 from facerender.mesh.mesh import Mesh
@@ -21,9 +20,7 @@ from facerender.scene.job import MAX_TEXT_BYTES
 from facerender.scene.view import View
 from facerender.system.files import read_file
 from facerender.values.fields import PATH, TEXT, IntegerRange, Range
-from facerender.values.vectors import rows_of
-
-Float = NDArray[np.float64]
+from facerender.values.vectors import Float, Float32, Integers, Mask, rows_of
 
 MAX_LANDMARKS = 100_000
 _VERTICES = IntegerRange(0, (1 << 31) - 1)
@@ -54,7 +51,7 @@ class Landmarks:
     """
 
     names: tuple[str, ...]
-    vertices: NDArray[np.int64]
+    vertices: Integers
     weights: Float
     parts: tuple[str, ...] = ()
 
@@ -93,8 +90,7 @@ class Landmarks:
     def positions(self, mesh: Mesh) -> Float:
         """Return the positions (N, 3) of the landmarks on a mesh, in mesh space.
 
-        Raises InputError if the mesh lacks a vertex or a part, if several parts match a name, or if
-        no triangle uses a vertex.
+        Raises InputError if a vertex is missing or unused, or a part missing or ambiguous.
         """
         positions = np.concatenate([part.positions for part in mesh.parts])
         rows, part_names = np.empty_like(self.vertices), np.array(self.parts)
@@ -114,15 +110,13 @@ class Landmarks:
         return np.asarray(np.einsum("nkj,nk->nj", positions[rows], self.weights))
 
 
-def _vertices_of(mesh: Mesh, name: str) -> NDArray[np.int64]:
+def _vertices_of(mesh: Mesh, name: str) -> Integers:
     """Return, for each vertex number of a part ("": of the mesh), the index of the vertex in the
     positions of all parts; -1 for a vertex that no triangle uses."""
     starts = np.cumsum([0, *(len(part.positions) for part in mesh.parts)])
     indices = mesh.called(name) if name else range(len(mesh.parts))
-    if name and len(indices) > 1:
-        raise InputError(
-            f"landmark part {quoted(name)} matches {len(indices)} parts: give one part"
-        )
+    if name and (count := len(indices)) > 1:
+        raise InputError(f"landmark part {quoted(name)} matches {count} parts: give one part")
     shared = [i for i in indices if mesh.parts[i].sources is not None]
     counts = {mesh.parts[i].source_count for i in shared}
     by_file = len(counts) == 1  # otherwise, the parts have no common numbers
@@ -187,9 +181,8 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     vertices: Any = table.get("vertices")
     numbers = vertices if isinstance(vertices, list) and table is landmark else [vertices]
     if not 0 < len(numbers) <= 3 or not all(number in _VERTICES for number in numbers):
-        raise InputError(
-            f"{label}: vertices = {quoted(vertices)}: give one to three vertex numbers"
-        )
+        text = quoted(vertices)
+        raise InputError(f"{label}: vertices = {text}: give one to three vertex numbers")
     weights = table.get("weights", [1.0] if len(numbers) == 1 else None)
     weights = weights if isinstance(weights, list) else [weights]
     if len(weights) != len(numbers) or not all(weight in _WEIGHTS for weight in weights):
@@ -199,9 +192,7 @@ def _item(name: str, landmark: Any, named: bool) -> tuple[str, list[int], list[f
     return table.get("name") or name, numbers, weights, table.get("part", "")
 
 
-def located(
-    view: View, mesh: Mesh, points: Float, image: NDArray[np.float32]
-) -> tuple[Float, Float, NDArray[np.bool_]]:
+def located(view: View, mesh: Mesh, points: Float, image: Float32) -> tuple[Float, Float, Mask]:
     """Return pixels and depth, as :meth:`View.project`, of points on the surface of a scene, and
     whether the points are visible: in the image, and not hidden.
 
@@ -217,11 +208,8 @@ def located(
     # A plane through the point is at least as far as the point at one of the centres, so that
     # slanted surfaces need no tolerance. The tolerance is the size of a pixel at the point's depth,
     # because a hollow that the image resolves is not deeper between two pixels; and rounding.
-    slack = (
-        view.pixel(mesh, (width, height), depth)
-        + depth * _RESOLUTION
-        + mesh.radius * _INTERPOLATION
-    )
+    slack = view.pixel(mesh, (width, height), depth) + depth * _RESOLUTION
+    slack = slack + mesh.radius * _INTERPOLATION
     surface = np.where(image[..., 3] > 0.0, image[..., 0].astype(np.float64), np.inf)
     with np.errstate(invalid="ignore"):  # at the border, slopes continue; inf - inf is NaN
         inside = np.all((pixels >= 0.0) & (pixels < (width, height)), axis=1)

@@ -9,17 +9,15 @@ import zipfile
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from facerender.errors import InputError, clipped, quoted, reason
 from facerender.mesh.mesh import Mesh, tracked
 from facerender.system.files import suffix_of
 from facerender.system.process import MIB, limit
 from facerender.values.fields import PATH, SWITCH, TEXT, Entries, IntegerRange, Range, field, record
-from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, Vector
+from facerender.values.vectors import ROTATIONS, SHAPE_WEIGHTS, Array, Vector
 
 
 @record("pose ")
@@ -87,7 +85,7 @@ def frame_count(path: str | os.PathLike[str]) -> int:
     return len(next(iter(_arrays(os.fspath(path)).values())))
 
 
-def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
+def _arrays(path: str) -> Mapping[str, Array]:
     """Return the arrays (frames, vertices, 3) of a file, keyed by part name; "" for a .npy."""
     suffix_of(path, (".npy", ".npz"), "vertices", "a file of vertices", sys.maxsize)
     status = os.stat(path)
@@ -95,7 +93,7 @@ def _arrays(path: str) -> Mapping[str, NDArray[Any]]:
 
 
 @lru_cache(4)
-def _opened(path: str, size: int, modified: int) -> Mapping[str, NDArray[Any]]:
+def _opened(path: str, size: int, modified: int) -> Mapping[str, Array]:
     name = clipped(Path(path).name)
     try:
         if Path(path).suffix.lower() == ".npy":

@@ -10,7 +10,7 @@ from operator import index
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from facerender.errors import InputError, quoted
 from facerender.material import WEIGHTS
@@ -26,6 +26,7 @@ from facerender.values.fields import (
     plain,
     record,
 )
+from facerender.values.vectors import Float
 
 S = TypeVar("S")
 
@@ -114,8 +115,7 @@ class Term:
         """Return the term for a material: this term, or a copy of it with the exact lobe.
 
         smallest, largest : range of the material's m
-        outside : action if m lies outside the lobe's domain: "error" to raise InputError, or
-            "exact" for the exact lobe
+        outside : beyond the lobe's domain, "error" raises InputError, "exact" takes the exact lobe
         """
         slopes = self.slope(smallest), self.slope(largest)
         lobe, k = lobe_entry(self.lobe), self.entry.k
@@ -133,15 +133,12 @@ class Term:
         return self if self.m is None else replace(self, m=self.m * factor)
 
     def keeps_small_slopes(self, smallest_m: float) -> bool:
-        """Return whether the exact lobe is computed accurately for small angles, if the lowest m of
-        the material is ``smallest_m``."""
+        """Return whether the exact lobe is accurate for small angles, for a material's lowest m."""
         if self.small_slope is not None:
             return self.small_slope
         return self.slope(smallest_m) < SMALL_SLOPE
 
-    def brdf(
-        self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float
-    ) -> NDArray[np.float64]:
+    def brdf(self, n: ArrayLike, l: ArrayLike, v: ArrayLike, m: ArrayLike, f0: float) -> Float:
         """Evaluate the BRDF of the term in float64, in 1/sr; see ``terms/model.py``. A constant m
         of the term replaces `m`.
 
@@ -235,9 +232,8 @@ class Shading(Term):
         for name in ("specular_lights", "shadow_lights"):
             for light in getattr(self, name) or ():
                 if not 0 <= light < count:
-                    raise InputError(
-                        f"{name} names light {light}: the scene has {count}, counted from 0"
-                    )
+                    problem = f"{name} names light {light}"
+                    raise InputError(f"{problem}: the scene has {count}, counted from 0")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the values that differ from the defaults, as plain data for TOML and JSON."""

@@ -24,6 +24,7 @@ Float = NDArray[np.float64]
 Pair = tuple[int, int]  # width and height
 
 FRAMING_MARGIN = 1.04
+_AWAY = 4.0  # distance of orthographic cameras from their target, in mesh radii
 _HEIGHTS = 1e-5, 1e5  # range of orthographic heights in mesh radii, for float32
 _SAME_SHAPE = 0.005  # relative tolerance of the aspect ratio, because sizes are rounded
 # Fraction of pixels to ignore: a few stretched triangles must not require finer mip levels.
@@ -46,6 +47,7 @@ class View:
         the top of the image, so that a framebuffer has its rows from the top down. Clip w is the
         depth; for an orthographic camera it is 1
     distortion : lens distortion (see :class:`Camera`), which the matrix leaves out; None for none
+    orthographic : whether all rays are parallel
     number : of a shifted image among the images of a pixel's samples, see :attr:`phase`
     """
 
@@ -53,6 +55,7 @@ class View:
     forward: Float
     matrix: Float
     distortion: tuple[float, ...] | None = None
+    orthographic: bool = False
     number: int = 0
 
     def __repr__(self) -> str:
@@ -61,15 +64,10 @@ class View:
         return f"<View from ({start}) along ({direction})>"
 
     @property
-    def orthographic(self) -> bool:
-        """Whether all rays of the camera are parallel."""
-        return not self.matrix[:3, 3].any()
-
-    @property
     def eye(self) -> Float:
         """The camera as a homogeneous point (4,): the vector from a surface point p to the camera
         is xyz - w p. It is the position and 1, or -forward and 0 for an orthographic camera."""
-        return np.append(-self.forward, 0.0) if self.orthographic else np.append(self.position, 1.0)
+        return np.array([*-self.forward, 0.0] if self.orthographic else [*self.position, 1.0])
 
     def towards(self, positions: Float) -> Float:
         """Return the unit vectors to the camera from positions (..., 3) in the renderer's space."""
@@ -80,7 +78,7 @@ class View:
         """Return the width and height (2,) in pixels, in an image of the given size, of a square
         with sides of 1 across the view: at depth 1, or of an orthographic camera at every depth.
         Lengths are in the renderer's space."""
-        return np.asarray(0.5 * np.multiply(size, self._lens[[0, 1], [0, 1]]))
+        return np.asarray(0.5 * np.multiply(size, self._lens.diagonal()[:2]))
 
     def pixel(self, mesh: Mesh, size: Pair, depth: Float | float) -> Any:
         """Return the side of a pixel at a depth; both are in mesh units."""
@@ -171,10 +169,8 @@ class View:
         """The axes (3, 3) of camera space in the renderer's space: x to the right, y down, z
         forward."""
         lens = self._lens
-        across = (self.matrix[:3, :2].T - lens[:2, 2:] * self.forward) / lens[[0, 1], [0, 1]][
-            :, None
-        ]
-        return np.vstack([across, self.forward])
+        across = self.matrix[:3, :2].T - lens[:2, 2:] * self.forward
+        return np.vstack([across / lens.diagonal()[:2, None], self.forward])
 
     def height(self, mesh: Mesh) -> float:
         """Return the height of an orthographic camera's view in mesh units."""
@@ -205,8 +201,7 @@ def mm_per_pixel(scene: Scene, size: Pair) -> float | None:
 def scale_of(scene: Scene, size: Pair) -> str:
     """Return the side of a pixel as text for metadata: in mm if the unit is known. In a perspective
     image it is the side at the eyes, or without a face at the mesh's centre."""
-    mesh, view, at = scene.mesh, view_of(scene, size[0] / size[1]), ""
-    depth = 1.0
+    mesh, view, depth, at = scene.mesh, view_of(scene, size[0] / size[1]), 1.0, ""
     if not view.orthographic:
         face = mesh.geometry.framing.face
         at = " at the eyes" if face else " at the centre of the mesh"
@@ -229,7 +224,10 @@ def to_scale(camera: Camera, mesh: Mesh, mm_per_pixel: float, size: Pair) -> Cam
 
 def following(scene: Scene, view: View) -> Scene:
     """Return the scene with its lights that follow the camera where they are for a view."""
-    if not any(light.follow for light in scene.lights):
+    for light in scene.lights:  # any() would call a function for each light of each frame
+        if light.follow:
+            break
+    else:
         return scene
     to_mesh, lights = view.axes * [[1.0], [-1.0], [-1.0]], []  # x right, y up, z to the camera
     for light in scene.lights:
@@ -278,7 +276,8 @@ def view_of(scene: Scene, aspect: float) -> View:
     if camera.position is None:
         framed = region_of(mesh, camera.frame) or mesh
         if camera.orthographic:
-            distance = 2.0 * mesh.space.reach + math.sqrt(target @ target)  # outside of the mesh
+            # Outside of the mesh, and the same for all poses, so that depths do not jump.
+            distance = _AWAY + math.sqrt(target @ target)
             height = height or _framing_height(framed.profile, aspect) / camera.zoom
         else:
             angles = camera.elevation, camera.fov, aspect
@@ -300,7 +299,8 @@ def view_of(scene: Scene, aspect: float) -> View:
         pair = f"camera azimuth = {camera.azimuth:g} and position exclude each other"
         raise InputError(f"{pair}, unless the camera looks straight up or down: leave one out")
     lens = _projection(camera.fov, height, aspect, -float(eye @ forward), mesh.space.reach)
-    return View(eye, forward, _look(eye, target, up) @ lens)
+    matrix = _look(eye, target, up) @ lens
+    return View(eye, forward, matrix, orthographic=camera.orthographic)
 
 
 def shifted(scene: Scene, x: float, y: float, size: int | Pair) -> Scene:
@@ -348,7 +348,8 @@ def _placed(mesh: Mesh, camera: Camera, aspect: float, height: float | None) -> 
         k = np.array(camera.intrinsics)
         lens[0, 0], lens[1, 1] = 2.0 * k[0, 0] / width, -2.0 * k[1, 1] / height
         lens[2, :2] = 1.0 - 2.0 * k[:2, 2] / camera.size
-    return View(eye, forward, _look(eye, eye + forward, -turn[1]) @ lens, camera.distortion)
+    matrix = _look(eye, eye + forward, -turn[1]) @ lens
+    return View(eye, forward, matrix, camera.distortion, camera.orthographic)
 
 
 def _look(position: Float, target: Float, up: Float) -> Float:

@@ -61,12 +61,8 @@ class CannotUse(InputError):
 
 @contextmanager
 def reported(action: str, path: object, then: str = "or give another path") -> Iterator[None]:
-    """Raise CannotUse for an OSError within the context, for example if a disk is full.
-
-    action : "write" or "read", for the message
-    path : the file or folder
-    then : end of the message, after the remedy
-    """
+    """Raise CannotUse for an OSError within the context, for example if a disk is full. The message
+    has the action, "write" or "read", the path, a remedy and ``then``."""
     try:
         yield
     except OSError as error:

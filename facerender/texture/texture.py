@@ -8,7 +8,7 @@ import math
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -25,14 +25,14 @@ from facerender.system.files import open_file
 from facerender.system.process import give_back
 from facerender.terms.model import MAP_DEVIATION
 from facerender.values.fields import PATH
+from facerender.values.vectors import Array, Float32, Size
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 Wrap = Literal["repeat", "clamp", "mirror"]
-Size = tuple[int, int]
 Kind = Literal["color", "linear-color", "normal", "data"]
-Levels = list[NDArray[Any]]
+Levels = list[Array]
 Strips = Iterable[NDArray[np.uint8]]
 Decode = Callable[[], "Image | NDArray[np.uint8]"]
 
@@ -60,7 +60,6 @@ class _Image:
         self.shared: WeakValueDictionary[Any, Any] = WeakValueDictionary()
 
     def decoded(self) -> Image | NDArray[np.uint8]:
-        """Return the texels if they are cached, and otherwise the result of ``decode``."""
         if (texels := self.texels) is not None:
             return texels
         image = self.decode()
@@ -128,8 +127,7 @@ class Texture:
         return texture
 
     def _variant(self, **attributes: Any) -> Texture:
-        """Return a texture with other attributes. A renderer uploads each texture once, so equal
-        calls return one object while it is in use."""
+        """Return a texture with other attributes; equal calls return one object, uploaded once."""
         texture = self._with(**attributes)
         key = texture.name, texture._channel, texture._omitted, texture.sampling
         variant: Texture = texture.image.shared.setdefault(key, texture)
@@ -167,8 +165,7 @@ class Texture:
     def from_array(cls, texels: ArrayLike, name: str = "an array") -> Texture:
         """Return a texture from an array of texels, which are copied and converted to 8 bits.
 
-        The values are encoded as in an image file: sRGB for an albedo or emissive map, linear for
-        all other maps.
+        Values are encoded as in files: sRGB in albedo and emissive maps, linear in other maps.
 
         Parameters
         ----------
@@ -213,13 +210,13 @@ class Texture:
         return self.wrap, self.nearest
 
     @property
-    def size(self) -> tuple[int, int]:
+    def size(self) -> Size:
         """Width and height. The size of an image file is available before decoding."""
         width, height = self.decoded_size
         return max(width >> self._omitted, 1), max(height >> self._omitted, 1)
 
     @property
-    def decoded_size(self) -> tuple[int, int]:
+    def decoded_size(self) -> Size:
         """Width and height of the decoded image; for a coarse texture, of the full image."""
         return self.image.size or self.image.all_texels().shape[1::-1]
 
@@ -235,7 +232,7 @@ class Texture:
         """Return the image in mode RGB; see :meth:`texels`."""
         return _image_of(np.ascontiguousarray(as_rgb(self.texels())))
 
-    def _strips(self) -> Iterator[NDArray[np.uint8]]:
+    def _strips(self) -> Strips:
         """Yield strips of the full image of a coarse texture. The image is not cached."""
         with _decoding:
             strips = _strips(self.image.decoded(), self.image.name, self._omitted)
@@ -483,9 +480,7 @@ def _band(texels: NDArray[np.uint8], index: int | None) -> NDArray[np.uint8]:
     return texels if index is None or texels.ndim == 2 else texels[..., index]
 
 
-def _strips(
-    image: Image | NDArray[np.uint8], name: str, drop: int = 0
-) -> Iterator[NDArray[np.uint8]]:
+def _strips(image: Image | NDArray[np.uint8], name: str, drop: int = 0) -> Strips:
     """Yield strips of a decoded image for its mip level ``drop``, (H, W, 3), or (H, W) of a grey
     array. Row 0 is at the bottom. The conversion in strips avoids a second full copy."""
     height = len(image) if isinstance(image, np.ndarray) else image.height
@@ -587,7 +582,7 @@ def _with_alpha(texels: NDArray[np.uint8], alpha: int) -> NDArray[np.uint8]:
     return copy
 
 
-def _even(texels: NDArray[Any], columns: int = 1) -> NDArray[Any]:
+def _even(texels: Array, columns: int = 1) -> Array:
     """Make the numbers of rows and of columns, which lie along an axis, even: double a side of 1;
     any other odd side loses its last texels."""
     for axis in (0, columns):
@@ -617,18 +612,18 @@ def _halve_srgb(texels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(encode[blocks.view(np.uint16)].reshape(*blocks.shape, 4))
 
 
-def _linear(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _linear(texels: NDArray[np.uint8]) -> Float32:
     decode = srgb_to_linear(np.arange(256) / 255.0).astype(np.float32)
     return np.asarray(decode[_with_alpha(texels, 255)])
 
 
-def _halve_linear(texels: NDArray[np.float32]) -> NDArray[np.float32]:
+def _halve_linear(texels: Float32) -> Float32:
     even = _even(texels)
     blocks = even.reshape(len(even) // 2, 2, even.shape[1] // 2, 2, 4)
     return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float32))
 
 
-def _unit_vectors(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _unit_vectors(texels: NDArray[np.uint8]) -> Float32:
     """Return texels of a normal map as unit vectors (H, 3, W)."""
     vectors = np.moveaxis(texels, -1, 1).astype(np.float32, order="C")
     vectors -= np.float32(127.5)  # no byte becomes 0, so no vector has length 0
@@ -636,11 +631,11 @@ def _unit_vectors(texels: NDArray[np.uint8]) -> NDArray[np.float32]:
     return vectors
 
 
-def _length(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+def _length(vectors: Float32) -> Float32:
     return np.asarray(np.sqrt(vectors[:, 0] ** 2 + vectors[:, 1] ** 2 + vectors[:, 2] ** 2))
 
 
-def _halve_vectors(means: NDArray[np.float32]) -> NDArray[np.float32]:
+def _halve_vectors(means: Float32) -> Float32:
     even = _even(means, columns=2)
     rows = even[0::2] + even[1::2]
     blocks = rows[..., 0::2] + rows[..., 1::2]
@@ -648,7 +643,7 @@ def _halve_vectors(means: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(blocks)
 
 
-def _with_deviation(means: NDArray[np.float32]) -> NDArray[np.uint8]:
+def _with_deviation(means: Float32) -> NDArray[np.uint8]:
     """Return the texels (H, W, 4) of a normal map's mip level from its mean normals (H, 3, W). RGB
     is the direction of the mean, alpha is the slope deviation."""
     length = _length(means).clip(1e-6, 1.0)

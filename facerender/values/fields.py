@@ -446,8 +446,7 @@ def merged(base: Table, over: Table) -> Table:
 
 
 def listed(value: Any, name: str, named: tuple[str, ...] = ()) -> Any:
-    """Convert tables with the keys 0, 1, 2, ... into lists. Raise InputError if a number is missing
-    among these keys.
+    """Convert tables with the keys 0, 1, 2... into lists. Raise InputError if a number is missing.
 
     named : names of tables whose keys are names, also if these are numbers
     """
@@ -473,8 +472,7 @@ def has_numbers(table: Table) -> bool:
 
 
 def toml_text(values: Mapping[str, Any]) -> str:
-    """Return TOML text for values, tables of values, and lists of such tables. Keys whose value is
-    None are omitted."""
+    """Return TOML text for values, tables of values, and lists of such tables; None is omitted."""
     tables: list[tuple[str, Mapping[str, Any]]] = []
     simple = {}
     for key, value in values.items():

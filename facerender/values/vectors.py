@@ -15,6 +15,12 @@ from facerender.errors import InputError, check_known, quoted, reason
 from facerender.values.fields import Range, SizeRange, VectorRange
 
 Vector = tuple[float, float, float]
+Size = tuple[int, int]  # width and height of an image in pixels
+Float = NDArray[np.float64]
+Float32 = NDArray[np.float32]
+Integers = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+Array = NDArray[Any]
 
 SHAPE_WEIGHTS = Range(-100.0, 100.0)  # accepted weights of morph targets
 FARTHEST = 1e30  # largest coordinate of a position, in mesh units
@@ -37,7 +43,7 @@ UPS: dict[str, Vector] = {
 UP_NAMES = (*UPS, "auto")  # values of ``up``; "auto" turns the face upright that is found
 
 
-def within_reach(name: str, position: NDArray[np.float64]) -> NDArray[np.float64]:
+def within_reach(name: str, position: Float) -> Float:
     """Check that float32 can resolve a position (3,) in the renderer's space, and return it."""
     if not (reach := np.abs(position).max()) <= MAX_RADII:
         far = f"{name} is {reach:.3g} mesh radii from the mesh's centre"
@@ -61,7 +67,7 @@ def check_array(name: str, value: Any, columns: int) -> None:
         raise InputError(f"{name} has the shape {value.shape}: give (N, {columns})")
 
 
-def direction_to(azimuth: float, elevation: float) -> NDArray[np.float64]:
+def direction_to(azimuth: float, elevation: float) -> Float:
     """Return a unit vector from angles: azimuth 0 is +z (front), 90 is +x; elevation 90 is +y."""
     a, e = math.radians(azimuth), math.radians(elevation)
     return np.array([math.sin(a) * math.cos(e), math.sin(e), math.cos(a) * math.cos(e)])
@@ -77,7 +83,7 @@ def pyrr_rotations() -> Any:
     return matrix33
 
 
-def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
+def rotation_of(angles: ArrayLike) -> Float:
     """Return the matrix (3, 3), for column vectors, of rotations about x, then y, then z.
 
     angles : (3,), in degrees; the axes are fixed. Multiples of 90 degrees give exact elements
@@ -85,18 +91,18 @@ def rotation_of(angles: ArrayLike) -> NDArray[np.float64]:
     matrix33 = pyrr_rotations()
     x, y, z = np.radians(np.fmod(angles, 360.0))
     turns = matrix33.create_from_z_rotation(z) @ matrix33.create_from_y_rotation(y)
-    matrix: NDArray[np.float64] = turns @ matrix33.create_from_x_rotation(x)
+    matrix: Float = turns @ matrix33.create_from_x_rotation(x)
     exact = np.rint(matrix)
     return np.where(np.abs(matrix - exact) < 1e-15, exact + 0.0, matrix)
 
 
-def axis_of(vector: NDArray[np.float64]) -> str:
+def axis_of(vector: Float) -> str:
     """Return the axis nearest to the direction of a vector (3,), one of UPS."""
     index = int(np.abs(vector).argmax())
     return "-" * bool(vector[index] < 0.0) + "xyz"[index]
 
 
-def upright_of(axes: NDArray[np.float64]) -> tuple[str, float, NDArray[np.float64]]:
+def upright_of(axes: Float) -> tuple[str, float, Float]:
     """Return how a face with axes (3, 3), rows right, up and front, is turned upright: the value
     of ``load_mesh(up=...)``, a multiple of 90 degrees to rotate about y afterwards, and the matrix
     (3, 3) of these two rotations if they leave at most 15 degrees, or else of the face itself."""
@@ -108,9 +114,7 @@ def upright_of(axes: NDArray[np.float64]) -> tuple[str, float, NDArray[np.float6
     return up, angle, rotation if cosine >= math.cos(math.radians(15.0)) else axes
 
 
-def axes_of(
-    up: str, rotate: ArrayLike, upright: NDArray[np.float64] | None = None
-) -> NDArray[np.float64] | None:
+def axes_of(up: str, rotate: ArrayLike, upright: Float | None = None) -> Float | None:
     """Return the matrix (4, 4) from the axes of a file to mesh space; None if it changes nothing.
 
     up, rotate : see :func:`facerender.load_mesh`, also for the errors
@@ -127,7 +131,7 @@ def axes_of(
 
 def rows_of(
     name: str, array: ArrayLike, widths: tuple[int, ...], hint: str = "", count: int | None = None
-) -> NDArray[np.float64]:
+) -> Float:
     """Return a float64 copy of an array. Check its shape, and that all its numbers are finite.
 
     widths : allowed numbers of columns
@@ -152,15 +156,15 @@ def rows_of(
     return rows
 
 
-def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def unit(vectors: Float) -> Float:
     """Return vectors (..., 3) scaled to length 1; zero vectors stay zero."""
     length = np.sqrt(np.einsum("...i,...i", vectors, vectors))[..., None]
     return np.asarray(vectors / np.maximum(length, 1e-300))
 
 
 def transformed(
-    positions: NDArray[Any], normals: NDArray[Any] | None, matrix: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, bool]:
+    positions: Array, normals: Array | None, matrix: Float
+) -> tuple[Float, Float | None, bool]:
     """Return positions and normals after a transform, and whether the transform mirrors. The
     normals have any length; they are None if there are none or the matrix is singular.
 
