@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from decimal import Decimal, DecimalException
 from functools import lru_cache, partial
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,7 @@ from facerender.scene.light import RIGS, Light
 from facerender.scene.scene import default_lights
 from facerender.system.files import read_file, suffix_of, tables_of
 from facerender.system.process import optional
-from facerender.values.fields import Table, build, has_numbers, merged, plain
+from facerender.values.fields import Table, build, has_numbers, merged, plain, ungrouped
 
 # The number of the line where a row ends (None for .parquet, .toml and .py), and a function that
 # returns the row as `nested` does. It raises InputError for this row only: further rows follow.
@@ -309,8 +309,7 @@ def nested(row: Any) -> Table:
         tables["lights"] = {key: _light(light) for key, light in lights.items()}
     elif isinstance(lights, str | list):
         several = [lights] if isinstance(lights, str) else lights
-        groups = (RIGS.get(item, [item]) if isinstance(item, str) else [item] for item in several)
-        tables["lights"] = [_light(light) for light in chain(*groups)]
+        tables["lights"] = [_light(light) for light in ungrouped(several, RIGS)]
     return tables
 
 

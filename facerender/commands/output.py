@@ -53,7 +53,8 @@ def _reported() -> Iterator[None]:
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Discard standard error of this process and of new processes within the context."""
+    """Discard standard error of this process and of new processes within the context. Unlike
+    :func:`facerender.system.process.redirected_stderr`, it takes no lock: image readers need it."""
     with open(os.devnull, "w") as nothing, redirect_stderr(nothing):
         original = os.dup(2)
         os.dup2(nothing.fileno(), 2)

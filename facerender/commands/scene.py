@@ -303,11 +303,12 @@ def _cameras(
 
     in_file : whether the scene file has a camera; otherwise the first of its camera path counts
     """
-    unnamed: dict[str, Any] = {} if job.anonymous is None else {"name": ""}  # names from files
-    camera, path = replace(job.camera, **unnamed), [replace(c, **unnamed) for c in job.cameras]
+    camera, path = job.camera, [*job.cameras]
     if path and not in_file:
         camera = path[0]
-    changes = values_of(options, "fov", "frame", "orthographic") | unnamed
+    changes = values_of(options, "fov", "frame", "orthographic")
+    if job.anonymous is not None:
+        changes["name"] = ""  # names come from files
     if (target := getattr(options, "looked_at", None)) is not None:
         changes["target"] = target
     if not options.camera:

@@ -120,7 +120,9 @@ class CompiledFrame:
         self._facing = sorted(index for index, order in orders if order == "facing")
         self._sorted = sorted(index for index, order in orders if order == "sorted")
         marked = sorted({part.index for part, draw in draws if draw.depth == "marked"})
-        self._groups = {"blended": self._sorted, "opaque": marked}
+        used = {area for one in passes for area in (one.area, *(draw.area for draw in one.draws))}
+        groups = {"blended": self._sorted, "opaque": marked}
+        self._groups = {name: group for name, group in groups.items() if name in used}
         self._uploaded: dict[int, Uploaded] = {}
         self._bounds: tuple[Any, Float] = (None, np.empty(0))
 

@@ -199,10 +199,17 @@ def _empty(
 
 
 def _fill(texture: moderngl.Texture, values: Array) -> None:
-    """Write items (N, ...) to the first texels of a texture, row by row; the others become 0."""
-    items = np.zeros((IN_ROW * texture.height, values[0].size), values.dtype)
-    items[: len(values)] = values.reshape(len(values), -1)
-    texture.write(items)
+    """Write items (N, ...) to the first texels of a texture, row by row."""
+    values = np.ascontiguousarray(values).reshape(len(values), -1)
+    width = values.shape[1] // texture.components
+    full_rows = len(values) // IN_ROW
+    for first_row, rows, columns in (
+        (0, full_rows, IN_ROW),
+        (full_rows, 1, len(values) - full_rows * IN_ROW),
+    ):
+        if rows and columns:
+            block = values[first_row * IN_ROW : first_row * IN_ROW + rows * columns]
+            texture.write(block, (0, first_row, columns * width, rows))
 
 
 @dataclass(eq=False)

@@ -23,7 +23,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
@@ -239,8 +239,13 @@ class Several(Limits):
         several = [value] if isinstance(value, str | self.record) else value
         if isinstance(several, Mapping | bytes) or not isinstance(several, Iterable):
             raise InputError(f"{name} = {quoted(value)}: give a list, each {_forms(self.record)}")
-        groups = (self.groups.get(i, [i]) if isinstance(i, str) else [i] for i in several)
-        return tuple(build(self.record, item, name) for group in groups for item in group)
+        return tuple(build(self.record, item, name) for item in ungrouped(several, self.groups))
+
+
+def ungrouped(items: Iterable[Any], groups: Mapping[str, Sequence[Any]]) -> Iterator[Any]:
+    """Yield items, and in place of the name of a group its members."""
+    for item in items:
+        yield from groups.get(item, (item,)) if isinstance(item, str) else (item,)
 
 
 FRACTION = Range(0.0, 1.0)
