@@ -7,10 +7,10 @@
 # make site        build the documentation as a web site in out/site
 # make head        regenerate assets/head.glb and assets/relief.npy
 # make lines       print the lines of code by package
-# make npm         build the npm package of the shaders in out/npm
+# make npm         build the npm package of the shaders in out/npm, and docs/languages
 # make install-shaders PREFIX=/usr/local [DESTDIR=]   install the GLSL library for pkg-config and CMake
-# All targets except lines and install-shaders create .venv if it is missing. All of these except npm also
-# install missing system libraries with apt (tools/system-libraries).
+# All targets except lines and install-shaders create .venv if it is missing, and install missing system
+# libraries with apt (tools/system-libraries).
 
 PYTHON ?= python3
 VENV = .venv/bin
@@ -61,8 +61,9 @@ lines:
 	        if (path[1] == "facerender") lines["facerender/" path[2]] += $$1 } \
 	        END { for (name in lines) print lines[name], name }' | sort -rn
 
-npm: .venv/installed
+npm: .venv/installed-dev
 	$(VENV)/python tools/npm-package -o out/npm
+	cp -R out/npm/languages docs
 
 install-shaders:
 	mkdir -p "$(SHARE)/facerender/shaders" "$(SHARE)/pkgconfig" "$(SHARE)/cmake/facerender_shaders"
@@ -88,4 +89,6 @@ test-system:
 	$(PYTHON) -m venv .venv
 	$(VENV)/pip install --quiet --upgrade 'pip>=25.1'  # for dependency groups
 	$(VENV)/pip install --quiet --editable . --group dev
+	-NODE_USE_SYSTEM_CA=1 $(VENV)/npm install --silent --global \
+	    "$$($(VENV)/python -c 'from facerender.glsl.translate import NAGA; print(NAGA)')"
 	touch $@ .venv/installed

@@ -11,8 +11,8 @@ import re
 from typing import Any
 
 from benchmarks.data import save
-from tests.verification.cases import cases_of, evaluated
-from tests.verification.targets import LAVAPIPE, TARGETS, Remote, groups_of
+from tests.verification.cases import GROUPS, cases_of, evaluated
+from tests.verification.targets import LAVAPIPE, TARGETS, Remote
 
 FIELDS = ("target", "renderer", "version", "functions", "samples", "percent", "case")
 
@@ -21,7 +21,7 @@ def measured(target: str) -> dict[str, Any]:
     """Evaluate all cases on a target; return its largest error in percent of the bound."""
     functions, samples, shares = set(), 0, {}
     with Remote(target) as remote:
-        for group in groups_of(target):
+        for group in GROUPS:
             cases = cases_of(group)
             for name, result in evaluated(cases, remote).items():
                 functions.update(re.findall(r"fr_\w+", cases[name].expression))

@@ -9,7 +9,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -23,6 +23,7 @@ from facerender.mesh import framing, simplify
 from facerender.mesh.face import Surface
 from facerender.pricing.cost import Interval
 from tests.verification import chromium
+from tests.verification.evaluate import Evaluator
 from tests.verification.scan import TEST_DATA, load_scan, scan_folder
 
 if TYPE_CHECKING:
@@ -87,6 +88,16 @@ def missing(what: str, package: str = "") -> NoReturn:
     if os.environ.get("FACERENDER_REQUIRE_ALL") and (not package or in_this_release(package)):
         pytest.fail(f"{what}, and FACERENDER_REQUIRE_ALL is set")
     pytest.skip(what)
+
+
+def run(command: Sequence[str | Path], folder: Path | None = None) -> None:
+    """Run a compiler, which must not report errors or warnings, or skip the test without it."""
+    if shutil.which(command[0]) is None:
+        missing(f"{command[0]} is not installed")
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    output = done.stdout + done.stderr
+    assert done.returncode == 0, output
+    assert "WARNING" not in output.upper(), output
 
 
 def require_module(name: str) -> ModuleType:
@@ -217,6 +228,13 @@ def backend(request: pytest.FixtureRequest) -> Backend:
 @pytest.fixture(scope="session")
 def egl() -> Backend:
     return require_backend("egl")
+
+
+@pytest.fixture(scope="module")
+def evaluator(egl: Backend) -> Iterator[Evaluator]:
+    evaluator = Evaluator(create_context(egl).gl)
+    yield evaluator
+    evaluator.release()
 
 
 @pytest.fixture(scope="module")

@@ -8,26 +8,17 @@ include slopes outside the domain of an approximation, which must still return a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
 
-from facerender.drawing.context import Backend, create_context
 from tests.test_shaders import FILES, functions
 from tests.verification import cases
 from tests.verification.cases import Case
-from tests.verification.evaluate import Evaluator, Inputs
+from tests.verification.evaluate import Inputs
 from tests.verification.many import GROUPS, Random, cases_of, faults, faults_of_draw
 
 FEW = 2**15  # samples per draw
-
-
-@pytest.fixture(scope="module")
-def evaluator(egl: Backend) -> Iterator[Evaluator]:
-    evaluator = Evaluator(create_context(egl).gl)
-    yield evaluator
-    evaluator.release()
 
 
 @pytest.fixture(scope="module")

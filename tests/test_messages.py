@@ -70,7 +70,7 @@ EXACT = {
 # Command lines, and the part of the message that names the thing and the value.
 SHAPES = {
     "render --scene range.toml -o x.png": "range.toml: camera azimuth = 1000000000.0 is outside",
-    "shaders flatten shadow --target hlsl": "function fr_shadow_depth: 'sampler2D'",
+    "shaders flatten shadow --lobe d16": "shadow does not use FR_LOBE",
     "render bad.glb -o x.png": "bad.glb is not glTF",
     "render empty.obj -o x.png": "empty.obj has only points and no faces",
     "render note.txt -o x.png": "note.txt: unknown mesh format '.txt'",

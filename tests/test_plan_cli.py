@@ -281,7 +281,7 @@ def test_exposure_counts(plan):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--budget", "1/255", "--emit", "x", "--target", "metal"), r"invalid choice: 'metal'"),
+        (("--budget", "1/255", "--emit", "x", "--target", "cuda"), r"invalid choice: 'cuda'"),
         (("--budget", "1/255", "--size", "512.."), r"size '': give N or WxH"),
         (("--budget", "1/255", "--size", "8..16..32"), r"size '16\.\.32': give N or WxH"),
         (("--budget", "1/255", "--size", "24x48..48x24"), r"give the smaller size first"),

@@ -225,3 +225,17 @@ def test_lobe_of_a_host_needs_its_function(evaluate):
     prelude = include("lobe", FR_LOBE="FR_LOBE_OWN")
     with pytest.raises(moderngl.Error, match="FR_LOBE_OWN needs FR_LOBE_FUNCTION"):
         evaluate(prelude, "fr_lobe(c, 0.3, 4)", {"c": np.float32([0.9])})
+
+
+def test_directives_suit_every_preprocessor():
+    """The preprocessors of naga and Babylon.js lack features of GLSL's. test_hosts.py and
+    test_web.py run them."""
+    term = r"FR_\w+ == \w+|!?defined\(FR_\w+\)"
+    for path in FILES:
+        for line in path.read_text(encoding="utf-8").split("\n"):
+            if line.startswith(("#if ", "#elif ")):
+                assert re.fullmatch(rf"#\w+ ({term})( (\|\||&&) ({term}))*", line), line
+            elif line.startswith("#include"):
+                assert (path.parent / line.split('"')[1]).is_file(), "beside the file"
+            else:  # naga takes quotes for GLSL's, and Babylon.js reads comments as well
+                assert not re.search(r"#error.*['\"]|.#(if|el|endif)", line), line

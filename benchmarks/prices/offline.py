@@ -20,10 +20,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from facerender.errors import InputError, NotMeasured
-from facerender.glsl.library import translated
-from facerender.glsl.translate import Msl
 from facerender.pricing import cost
 from facerender.pricing.cost import INPUTS
+from tests.verification.hosts import flat
 
 # The compilers' names of the GPUs, and their architectures.
 INTEL = {"skl": "Intel Gen9", "acm-g10": "Intel Xe-HPG"}
@@ -172,9 +171,9 @@ def table() -> dict[str, Any]:
 def _program(prefix: str, prelude: str, expression: str) -> str:
     """Return the source of a term and its kernel for both compilers; the prefix makes the names of
     several terms unique in one file."""
-    text = translated(_TERM % (prelude, expression), "msl").removeprefix(Msl.head)
-    text = re.sub(r"\b(?=fr_|FR_)", prefix, text)
-    text = re.sub(r"^(?=(float|int|uint|bool|void)[234]? \w+\()", "FUNCTION ", text, flags=re.M)
+    text = flat(_TERM % (prelude, expression), "metal").partition("using namespace metal;\n")[2]
+    text = re.sub(r"\bfr_", f"{prefix}fr_", text.replace("fast::", ""))
+    text = text.replace("static inline __attribute__((always_inline))\n", "FUNCTION ")
     numbers = r"(?<![\w.])(\d+\.\d*(e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])"
     return re.sub(numbers, r"\1f", text) + _KERNEL % {"prefix": prefix}
 

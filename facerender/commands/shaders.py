@@ -1,16 +1,74 @@
-"""``facerender shaders list``, ``path`` and ``flatten``."""
+"""``facerender shaders list``, ``path`` and ``flatten``; the catalogue of shader functions."""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
+import re
 import textwrap
+from dataclasses import asdict, dataclass
+from functools import cache
 
 from facerender.commands.options import add_options
 from facerender.commands.output import print_result
-from facerender.glsl.library import LANGUAGES, TARGETS, shader_dir, shader_source
+from facerender.glsl.library import LANGUAGES, TARGETS, library, shader_dir, shader_source
 from facerender.terms.lobe import LOBES, SLOPES
+
+# The catalogue of functions is parsed from the comments that a reader of the GLSL files has. Each
+# file has a header comment, and a function may have a comment above it. A comment begins with a
+# sentence; lines "//   key: text" follow. Deeper indented lines continue the text of a key.
+_FUNCTION = re.compile(r"((?:^//.*\n)*)^(\w+) (fr_\w+)\(([^)]*)\) \{", re.MULTILINE)
+_KEYED = re.compile(r"^   (\w+(?:, \w+)*): +(\S.*(?:\n {5,}\S.*)*)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Function:
+    """A public function of the library, with the texts of its comments."""
+
+    name: str  # such as "fr_ward"
+    signature: str  # GLSL declaration
+    file: str  # path in an include line
+    summary: str  # first sentence of the comment
+    parameters: dict[str, str]  # meaning, unit and domain, keyed by the parameter name
+    formula: str
+    unit: str
+    result: str  # text of the key "returns"; "" if the comment lacks this key
+    error: str
+    source: str
+
+
+@cache
+def functions() -> tuple[Function, ...]:
+    """Return all public functions of the library, in alphabetical order of the files."""
+    result = []
+    for file in (f"facerender/{name}.glsl" for name in library()):
+        text = (shader_dir() / file).read_text(encoding="utf-8")
+        header = _texts(text[: text.index("#ifndef")])
+        for comment, return_type, name, parameters in _FUNCTION.findall(text):
+            texts = header | _texts(comment)
+            parameters = " ".join(parameters.split())
+            function = Function(
+                name,
+                signature=f"{return_type} {name}({parameters})",
+                file=file,
+                parameters={key: texts[key] for key in re.findall(r"(\w+)(?:,|$)", parameters)},
+                result=texts.get("returns", ""),
+                **{key: texts[key] for key in ("summary", "formula", "unit", "error", "source")},
+            )
+            result.append(function)
+    return tuple(result)
+
+
+def _texts(comment: str) -> dict[str, str]:
+    """Return the texts of a comment by key; "summary" is the key of the first sentence."""
+    comment = re.sub(r"^//", "", comment, flags=re.MULTILINE)
+    sentence = re.findall(r"\A\s.+?\.(?=\s+[A-Z]|\n\n|\s*\Z)", comment, re.DOTALL)
+    texts = [("summary", text) for text in sentence]
+    return {
+        key: " ".join(text.split())
+        for keys, text in [*texts, *_KEYED.findall(comment)]
+        for key in keys.split(", ")
+    }
 
 
 def add(shaders: argparse.ArgumentParser) -> None:
@@ -53,7 +111,7 @@ _FLATTEN = """
 NAME | library file, such as cook_torrance or lobe/exact; library function; or your GLSL file; -
     reads standard input | required
 --target | #version line or language of the result | GLSL to include, without #version
-    | 330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450, msl Metal
+    | 330 is OpenGL 3.3, es300 OpenGL ES 3.0 and WebGL 2, vulkan GLSL 450
 --lobe | the only lobe in the result | the lobe that FR_LOBE selects
 --m M | RMS slope of the microfacets, as a constant | a parameter
 -I DIR | folder of files that your file includes; repeatable | none
@@ -61,10 +119,8 @@ NAME | library file, such as cook_torrance or lobe/exact; library function; or y
 
 
 def run_list(options: argparse.Namespace) -> int:
-    from facerender.glsl.library import functions
-
     if options.json:
-        listed = [dataclasses.asdict(function) for function in functions()]
+        listed = [asdict(function) for function in functions()]
         print_result(json.dumps(listed, indent=2))
         return 0
     for function in functions():

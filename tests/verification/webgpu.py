@@ -59,7 +59,7 @@ class Device:
         """Return the image of a fragment shader, (height, width, 4), row 0 at y = 0.
 
         fragment : GLSL 450, WGSL or SPIR-V
-        inputs : read-only storage buffers, in the order of their bindings
+        inputs : images with 1 or 3 components, in the order of their bindings
         """
         wgpu, device = self._wgpu, self._device
         width, height = size
@@ -72,11 +72,8 @@ class Device:
             color_attachments=[{"view": target.create_view(), **clear}]
         )
         drawing.set_pipeline(pipeline)
-        buffers = [
-            device.create_buffer_with_data(data=each, usage=wgpu.BufferUsage.STORAGE)
-            for each in inputs
-        ]
-        entries = [{"binding": i, "resource": {"buffer": each}} for i, each in enumerate(buffers)]
+        views = [self._texture(image).create_view() for image in inputs]
+        entries = [{"binding": i, "resource": view} for i, view in enumerate(views)]
         drawing.set_bind_group(0, device.create_bind_group(layout=group, entries=entries))
         drawing.draw(3)
         drawing.end()
@@ -86,6 +83,18 @@ class Device:
         )
         return np.frombuffer(data, np.float32).reshape(height, width, 4)
 
+    def _texture(self, image: NDArray[np.float32]) -> Any:
+        """Return a texture of four components; as in OpenGL, a missing alpha is 1."""
+        height, width, components = image.shape
+        texels = np.broadcast_to(np.array([0, 0, 0, 1], np.float32), (height, width, 4)).copy()
+        texels[..., :components] = image
+        usage = self._wgpu.TextureUsage.TEXTURE_BINDING | self._wgpu.TextureUsage.COPY_DST
+        size = width, height, 1
+        texture = self._device.create_texture(size=size, format="rgba32float", usage=usage)
+        layout = {"bytes_per_row": 16 * width, "rows_per_image": height}
+        self._device.queue.write_texture({"texture": texture}, texels, layout, size)
+        return texture
+
     def _new_pipeline(self, fragment: str | bytes, inputs: int) -> tuple[Any, Any]:
         """Return the bind group layout of the inputs, and the pipeline."""
         wgpu, device = self._wgpu, self._device
@@ -93,8 +102,8 @@ class Device:
             device.create_shader_module(label="triangle vert", code=TRIANGLE),
             device.create_shader_module(label="drawn frag", code=fragment),
         ]
-        kind = {"type": wgpu.BufferBindingType.read_only_storage}
-        read = {"visibility": wgpu.ShaderStage.FRAGMENT, "buffer": kind}
+        texture = {"sample_type": "unfilterable-float"}
+        read = {"visibility": wgpu.ShaderStage.FRAGMENT, "texture": texture}
         group = device.create_bind_group_layout(
             entries=[{"binding": i, **read} for i in range(inputs)]
         )

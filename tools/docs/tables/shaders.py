@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 
-from facerender.glsl.library import Function, functions
+from facerender.commands.shaders import Function, functions
 from facerender.terms.lobe import LOBES
 from facerender.terms.model import FRESNEL, MASKING
 from tools.docs.tables import markdown_table
