@@ -48,8 +48,7 @@ float walked(float c, vec3 n, int count) {
     const mat2 turn = mat2(0.6, 0.8, -0.8, 0.6);
     vec2 turned = turn * kept + n.xy * turn;
     bool same = kept == vec2(2.0 * c, 2.0);
-    kept.x++;
-    --kept.xy;
+    kept.x++, --kept.xy;
     n.xy += kept;
     c = atan(turned.y, turned.x) + dot(max(n, 0.0), clamp(n, 0.0, 1.0));
     return mix(total + other, c, same ? 0.25 : 1.0) + mix(n, vec3(UNIT), 0.5).b + length(turned);
@@ -64,7 +63,8 @@ vec3 constructed(float c, vec3 n) {
 """
 UNUSED = "float unused(float a, precise out float b, inout float c[3]) { a = 2.0; return a; }\n"
 SAMPLED = "float sampled(sampler2D map, vec2 at) { return texture(map, at).x; }\n"
-SHADOW = '#include "facerender/shadow.glsl"\n'
+LOBE = '#include "facerender/lobe.glsl"\n'
+SHADOW = f'#ifdef X\n{LOBE}#endif\n{LOBE}#include "facerender/shadow.glsl"\n'
 CALLS = [f"walked(c, n, {i})" for i in (0, 1, 4, 9)] + [f"constructed(c, n)[{i}]" for i in range(3)]
 
 

@@ -12,7 +12,6 @@ from PIL import Image
 import facerender as fr
 from facerender import brdf
 from facerender.commands import main
-from facerender.drawing.context import create_context
 from facerender.drawing.prepare import resolve
 from facerender.drawing.program import surface_features
 from facerender.images.files import read_image
@@ -20,7 +19,6 @@ from tests.awkward_files import MINI_HEAD
 from tests.conftest import require_module
 from tests.settings import parse_light
 from tests.test_reference import areas
-from tests.verification.evaluate import Evaluator
 from tests.verification.lights import PLAIN_THREE
 from tests.verification.slope_filter import disc, filtered, flicker, relief, slopes_of
 
@@ -65,7 +63,7 @@ def test_steep_relief_is_clamped():
     assert levels_of(texels)[1][0, 0, 3] == 255
 
 
-def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(egl):
+def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(evaluator):
     slopes = np.random.default_rng(6).normal(0.0, 0.115, (256, 256, 2))
     c = 1.0 / np.sqrt(1.0 + (slopes**2).sum(axis=-1))
     deviation = relief(slopes, 1.0).levels("normal").result()[-1][0, 0, 3] / 255.0
@@ -74,13 +72,9 @@ def test_relief_of_normally_distributed_slopes_needs_the_whole_variance(egl):
     include = '#include "facerender/slope_variance.glsl"'
     call = "fr_slope_filtered(m, fr_slope_variance_map(alpha))"
     inputs = {"m": m, "alpha": np.full_like(m, deviation)}
-    evaluate = Evaluator(create_context(egl).gl)
-    try:
-        for define, ratios in (("", (1.34, 1.13)), ("#define FR_MAP_SHARE 1.0\n", (1.0, 1.0))):
-            wide = evaluate(fr.resolve_includes(define + include), call, inputs)
-            np.testing.assert_allclose(wide**-2.0 / peaks, ratios, atol=0.04)
-    finally:
-        evaluate.release()
+    for define, ratios in (("", (1.34, 1.13)), ("#define FR_MAP_SHARE 1.0\n", (1.0, 1.0))):
+        wide = evaluator(fr.resolve_includes(define + include), call, inputs)
+        np.testing.assert_allclose(wide**-2.0 / peaks, ratios, atol=0.04)
 
 
 @pytest.mark.slow

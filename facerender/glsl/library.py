@@ -79,10 +79,9 @@ def shader_source(
         includes itself, reaches an ``#error``, or defines a macro that lobe or m sets; a file that
         cannot be translated, or a translator that is not installed
     """
-    macros = {} if lobe is None else lobe_macros(lobe)
     if m is not None:
         SLOPES.check("m", m)
-        macros = {} if lobe is None else lobe_macros(lobe, m < SMALL_SLOPE)
+    macros = {} if lobe is None else lobe_macros(lobe, m is None or m < SMALL_SLOPE)
     return _flat(name, target, macros, lobe, m, paths)
 
 
@@ -118,7 +117,7 @@ def _flat(
         chosen |= dict.fromkeys(["FR_SLOPE", *coefficients], "")
 
     # A branch and the text after it may include the same file: the guards decide which is compiled.
-    for guards in (target is None, True):
+    for guards in (True,) if target is None else (False, True):
         flat = Preprocessor(shader_dir(), paths, chosen, guards)
         if standard_input is None:
             flat.append_file(path)

@@ -82,7 +82,7 @@ def translate(text: str, language: str) -> str:
         which would have no value in the result
     """
     text = re.sub(r"^\s*#\s*line\b.*", "", text, flags=re.MULTILINE)
-    for name in _NUMBER.findall(text):
+    for name in dict.fromkeys(_NUMBER.findall(text)):  # branches may define a macro twice
         text += f"\n#ifdef {name}\nconst int fr_{name} = {name};\n#endif\n"
     options, entry_point, taken = _LANGUAGES[language]
     with TemporaryDirectory() as folder:
@@ -111,12 +111,13 @@ def translate(text: str, language: str) -> str:
     # Constants have the digits of their binary value: leave the digits that float32 needs.
     result = re.sub(r"\b\d+\.\d{8,}(?:e[-+]\d+)?|\d{39}", lambda x: str(np.float32(x[0])), result)
     result = result.replace("3.4028235e+38", "3.4028234e+38")  # Tint rounds the former upwards
+    lines = text.split("\n")
     for line, name, _ in functions:
         head = rf"^(?=(?:static inline .*\n)?(?:[\w\[\]]+ )+{name}\()"
         before, *after = re.split(head, result, maxsplit=1, flags=re.MULTILINE)
         if not after or re.fullmatch(f"spv.*|{taken}", name):
             raise InputError(_RENAMED.format(name))
-        result = before + _comment_above(text.split("\n")[: int(line) - 1]) + after[0]
+        result = before + _comment_above(lines[: int(line) - 1]) + after[0]
     constant = "const {}: i32 = {};\n" if language == "WGSL" else "#define {} {}\n"
     constants = re.findall(r"'fr_(FR_\w+)' \( const .*\n.* (\d+) \(", tree)
     return "".join(constant.format(*names) for names in constants) + "\n" + result
